@@ -13,30 +13,23 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
 
-from grasp_refine.collision.query import query
-from grasp_refine.core.array_records import choose, join, take
-from grasp_refine.core.se3 import exp_so3, matvec, transform_points
-from grasp_refine.forces.equilibrium import mode_residual
-from grasp_refine.forces.quality import DEEP, quality
-from grasp_refine.forces.squeeze import CONTACTS, contacts, pressure_shortfall
-from grasp_refine.forces.strong_pushes import strong_push_residual
-from grasp_refine.hands.chain import Frames
+from grasp_refine.core.array_records import join, take
+from grasp_refine.core.se3 import exp_so3, matvec
+from grasp_refine.forces.quality import DEEP
 from grasp_refine.hands.displacement import Displacement
 from grasp_refine.measures.formulas import room_share
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.gap_closing import close_gaps
+from grasp_refine.refinement.gap_closing import close_gaps, release_links
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
-from grasp_refine.refinement.pinches import BEST_SCORE, pinch_score
-from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, Solver, limited, minimise
+from grasp_refine.refinement.judging import MISS_SCALE_M, judge, target_miss
+from grasp_refine.refinement.phases import CLOSE, PHASES, STAYS, Phase
+from grasp_refine.refinement.pinches import BEST_SCORE
+from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, limited, minimise
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
-from grasp_refine.refinement.terms.contact import contact_gap
-from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_patches import patch_misses
-from grasp_refine.scene.contact_selection import ContactSelection, link_groups
 from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
@@ -51,25 +44,10 @@ grasps that a search brings just over a bar hold less often than grasps that cam
 DexGraspNet and FRoGGeR that were moved to a quality between 0.95 and 0.99, 67 % held in protocol `strict`; of 51 above
 it 98 %."""
 
-STAYS = (1e-5, 1e-6, 0.0)
-"""Weights in m^2 that hold grasps back to the input grasp while forces are balanced, one attempt after the other."""
-
 PINCH_SHARE = 0.7
 """Share of its score below which a grasp of two contact points is replaced by one from another start, unless that is
 good: forces at two points make no torque about the line between them, whatever the pads do, so that the scores of such
 grasps hardly predict which of them holds."""
-
-SHORTFALL_WEIGHT = 0.2
-"""Score of a grasp whose set points allow no pressure at all."""
-
-YIELDING_WEIGHT = 0.5
-"""Score of a grasp all of whose pressure turns a finger of a linkage, at the lever of `infeasible_torques`."""
-
-RELEASE_GAP_M = 5e-4
-"""Gap in metres, when nothing closes it any more, from which on a link need not touch."""
-
-MISS_SCALE_M = 0.0025
-"""Distance in metres of a contact from where it should be that costs a score of 1."""
 
 START_ROTATION_RAD, START_TRANSLATION_M, START_JOINTS_RAD = 0.25, 0.008, 0.1
 """Standard deviations of further starts: rotation about each axis through the contacts, translation, joint values."""
@@ -81,50 +59,8 @@ STARTS_AT_ONCE = 16
 """Target number of members of a batch: of few grasps, several starts are tried at once."""
 
 
-@dataclass(frozen=True)
-class Phase:
-    """Phase of an attempt, with its own contact links and weights."""
-
-    name: str
-    """Name for people, such as "contacts slide"."""
-    iterations: int
-    """Largest number of iterations."""
-    farther: tuple[float, float] = (0.0, 0.0)
-    """Distances in metres added to the reach of contact links, and of other links, when contacts are selected."""
-    soft: float = 1.0
-    """Factor of the penetration weights: while contacts slide, links may penetrate a little."""
-    balance: bool = True
-    """Whether contact forces should balance."""
-    stay: float = 0.0
-    """Weight in m^2 of the movement from the input grasp, beside that of the settings."""
-    patience: int = 8
-    """Largest number of iterations without progress."""
-
-    def touching(self, touching: ContactSelection) -> ContactSelection:
-        """Return the contact selection of this phase, given that of the last phase."""
-        tips, others = self.farther
-        return replace(touching, reach=touching.reach + tips, other_link_distance=touching.other_link_distance + others)
-
-    def weights(self, weights: Weights) -> Weights:
-        """Return the weights of this phase, given the weights of the last phase."""
-        return replace(
-            weights,
-            penetration=self.soft * weights.penetration,
-            self_penetration=self.soft * weights.self_penetration,
-            wrench=weights.wrench if self.balance else 0.0,
-            stay_near=weights.stay_near + self.stay,
-        )
-
-
 SAME_SCORE = 1e-6
 """Difference of scores below which the earlier attempt stays, so that a last bit does not choose between two."""
-
-SLIDE = Phase("contacts slide", 25, farther=(0.01, 0.005), soft=0.01)
-SETTLE = Phase("contacts settle", 15)
-CLOSE = Phase("gaps close", 40, balance=False, patience=12)
-PHASES = (SLIDE, SETTLE, CLOSE)
-"""Contacts slide to where forces balance; they settle without penetration; last, by geometry alone, gaps close (see
-`gap_closing`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,39 +92,6 @@ class Attempt:
     """True where the attempt is good enough (M,)."""
     displacement: np.ndarray
     """Displacement (M,) from the input grasp, metres."""
-
-
-def judge(
-    prepared: HandObject, frames: Frames, clearance: Float[np.ndarray, " L"] | float = 0.0
-) -> tuple[Float[np.ndarray, " N"], Bool[np.ndarray, " N"], Float[np.ndarray, " N"]]:
-    """Return the score (N,) of grasps, lower is better, where they have at most two contact points, and their quality.
-
-    Of grasps whose links meet nothing but the object, the residual under the worst of the strong pushes, which counts
-    as much as the shortcomings of `Quality` together, predicts which of several attempts holds a heavy object, or one
-    in a simulation whose contacts creep. Grasps near the ends of set points, where a hand cannot press, cost as much as
-    `SHORTFALL_WEIGHT`, grasps whose pressure turns fingers of linkages their `mode_residual` times `YIELDING_WEIGHT`,
-    and grasps with two fingers their `pinch_score`. The score is infinite where there are no forces.
-    """
-    hand, obj, chain, faces, T = prepared.hand, prepared.object, prepared.chain, prepared.faces, frames.T_world_link
-    cutoff = CONTACTS.cutoff(hand, chain.links)
-    witness = query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=cutoff)
-    points = contacts(hand, obj, chain.links, witness, T, faces)
-    pushed = strong_push_residual(points, obj, frames.T_world_root[:, :3, :3])
-    found = quality(hand, obj, chain, frames, witness, clearance, faces)
-    score = found.score + np.nan_to_num(pushed, nan=np.inf)
-    score += SHORTFALL_WEIGHT * pressure_shortfall(hand, obj, chain, frames, points)
-    if hand.modes:
-        score += YIELDING_WEIGHT * mode_residual(hand, obj, chain, frames, points)
-    if hand.has_two_fingers:
-        score += pinch_score(prepared, frames, witness, points)
-    return score, np.isfinite(points.point[..., 0]).sum(axis=1) <= 2, np.nan_to_num(found.value)
-
-
-def target_miss(scene: Scene, T_link: Float[np.ndarray, "N L 4 4"]) -> Float[np.ndarray, " N"]:
-    """Return the largest distance (N,) in metres of a target on a link from the target on the object; 0 without any."""
-    assert scene.target_link is not None and scene.target_object is not None
-    miss = np.linalg.norm(transform_points(T_link, scene.target_link) - scene.target_object, axis=-1)
-    return np.nan_to_num(miss).max(axis=1)
 
 
 def most_iterations(config: Config, *, aimed: bool = False) -> int:
@@ -397,55 +300,13 @@ class Search:
             on_iteration=with_callback(self.on_iteration, goal, phase.name, rows),
         )
         if not phase.balance:
-            found, goal = self._release(problem, found, solver, left)
+            found, goal = release_links(problem, found, solver, seconds=left, progress=self._report)
         share = 1.0 / max(len(rows), 1)
         np.add.at(self.iterations, rows, found.iterations)
         np.add.at(self.queries, rows, found.queries + goal.queries)
         np.add.at(self.cpu, rows, (time.process_time() - cpu) * share)
         np.add.at(self.wall, rows, (time.perf_counter() - wall) * share)
         return found, goal
-
-    def _release(
-        self, problem: GraspProblem, found: Minimum, solver: Solver, seconds: np.ndarray
-    ) -> tuple[Minimum, Goal]:
-        """Return the grasps of a problem with their gaps closed, and its goal, without links that cannot touch.
-
-        Of grasps whose links cannot all touch, the link that is farthest from touching need not, as long as links of
-        two fingers, or of a finger and the palm, do.
-        """
-        goal, setup = problem.goal, problem.setup
-        left = np.flatnonzero(np.isin(found.status, (Status.STALLED, Status.BUDGET)) & (goal.touching.sum(axis=1) > 2))
-        if not len(left):
-            return found, goal
-        witness = problem.evaluate(left, take(found.point, left), None).witness
-        gap = np.abs(contact_gap(witness, setup.anywhere[left], setup.margin + setup.clearance))
-        worst, at = gap.argmax(axis=1), np.arange(len(left))
-        touching = goal.touching[left]
-        touching[at, worst] = False
-        group = np.unique(link_groups(self.scene.hand, self.scene.links), return_inverse=True)[1]
-        groups = np.stack([touching[:, group == one].any(axis=1) for one in range(group.max() + 1)]).sum(axis=0)
-        freed = (gap[at, worst] > RELEASE_GAP_M) & (groups >= 2)
-        if not freed.any():
-            return found, goal
-        all_touching = goal.touching.copy()
-        all_touching[left[freed]] = touching[freed]
-        goal = replace(goal, touching=all_touching)
-        again = GraspProblem(problem.scene, goal, problem.config, self.prepared)
-        again.restarts = False
-        status = found.status.copy()
-        status[left[freed]] = Status.RUNNING
-        more = close_gaps(
-            again, found.point, solver, self.config.tolerance, status=status, seconds=seconds, progress=self._report
-        )
-        rows = np.isin(np.arange(len(status)), left[freed])
-        return replace(
-            found,
-            point=choose(rows, more.point, found.point),
-            loss=np.where(rows[:, None], np.stack([found.loss[:, 0], more.loss[:, 1]], axis=1), found.loss),
-            status=more.status,
-            iterations=found.iterations + more.iterations,
-            queries=found.queries + more.queries,
-        ), goal
 
     def _report(self, finished: int, iteration: int, loss: float) -> None:
         """Report progress; which grasps are good is known after an attempt only."""

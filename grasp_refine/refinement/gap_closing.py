@@ -1,4 +1,4 @@
-"""Closing of gaps: flat faces turn onto each other where the hand can do so, and links touch in any case."""
+"""Closing of gaps: flat faces turn onto each other where they can, links touch, and links that cannot are released."""
 
 from __future__ import annotations
 
@@ -6,10 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from grasp_refine.core.array_records import choose
+from grasp_refine.core.array_records import choose, take
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.solvers.iterate import IterationCallback, Minimum, Point, Progress, Solver, minimise
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.refinement.terms.contact import contact_gap
+from grasp_refine.scene.contact_selection import link_groups
+from grasp_refine.scene.goal import Goal
+
+RELEASE_GAP_M = 5e-4
+"""Gap in metres, when nothing closes it any more, from which on a link need not touch."""
 
 
 def close_gaps(
@@ -68,3 +74,55 @@ def close_gaps(
         cpu_s=found.cpu_s + points.cpu_s,
         wall_s=found.wall_s + points.wall_s,
     )
+
+
+def release_links(
+    problem: GraspProblem, found: Minimum, solver: Solver, *, seconds: np.ndarray, progress: Progress | None = None
+) -> tuple[Minimum, Goal]:
+    """Close the gaps of grasps whose links cannot all touch, without the link that is farthest from touching.
+
+    Links of two fingers, or of a finger and the palm, go on touching.
+
+    Args:
+        problem: Problem of N grasps.
+        found: Its minima, of which some may have gaps left.
+        solver: Levenberg-Marquardt.
+        seconds: CPU time left for each grasp (N,).
+        progress: As for `minimise`.
+
+    Returns:
+        The minima, and the goal without the released links.
+    """
+    goal, setup, scene = problem.goal, problem.setup, problem.scene
+    left = np.flatnonzero(np.isin(found.status, (Status.STALLED, Status.BUDGET)) & (goal.touching.sum(axis=1) > 2))
+    if not len(left):
+        return found, goal
+    witness = problem.evaluate(left, take(found.point, left), None).witness
+    gap = np.abs(contact_gap(witness, setup.anywhere[left], setup.margin + setup.clearance))
+    worst, at = gap.argmax(axis=1), np.arange(len(left))
+    touching = goal.touching[left]
+    touching[at, worst] = False
+    group = np.unique(link_groups(scene.hand, scene.links), return_inverse=True)[1]
+    groups = np.stack([touching[:, group == one].any(axis=1) for one in range(group.max() + 1)]).sum(axis=0)
+    freed = (gap[at, worst] > RELEASE_GAP_M) & (groups >= 2)
+    if not freed.any():
+        return found, goal
+    rows, all_touching = left[freed], goal.touching.copy()
+    all_touching[rows] = touching[freed]
+    goal = replace(goal, touching=all_touching)
+    again = problem.with_goal(goal)
+    status = found.status.copy()
+    status[rows] = Status.RUNNING
+    more = close_gaps(
+        again, found.point, solver, problem.config.tolerance, status=status, seconds=seconds, progress=progress
+    )
+    of = np.isin(np.arange(len(status)), rows)
+    after = replace(
+        found,
+        point=choose(of, more.point, found.point),
+        loss=np.stack([found.loss[:, 0], np.where(of, more.loss[:, 1], found.loss[:, 1])], axis=1),
+        status=more.status,
+        iterations=found.iterations + more.iterations,
+        queries=found.queries + more.queries,
+    )
+    return after, goal

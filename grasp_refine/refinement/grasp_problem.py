@@ -67,6 +67,12 @@ class GraspProblem:
         points.patched = False
         return points
 
+    def with_goal(self, goal: Goal) -> GraspProblem:
+        """Return the problem with other links that should touch."""
+        other = GraspProblem(self.scene, goal, self.config, self.prepared)
+        other.restarts = self.restarts
+        return other
+
     # interface of `levenberg_marquardt.LeastSquares`
 
     def evaluate(self, member: np.ndarray, point: Point, previous: State | None) -> State:

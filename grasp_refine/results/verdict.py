@@ -12,8 +12,8 @@ from rich.text import Text
 from grasp_refine.core.plurals import whole
 from grasp_refine.measures.formulas import COSTLY_M
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import CLOSE
 from grasp_refine.refinement.max_move import MaxMove
+from grasp_refine.refinement.phases import CLOSE
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 

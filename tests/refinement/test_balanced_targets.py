@@ -9,7 +9,7 @@ from claw import around, capsule, claw
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.measures.geometry import measure
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import judge, target_miss
+from grasp_refine.refinement.judging import judge, target_miss
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.terms.weights import Weights

@@ -10,13 +10,8 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import log_so3
 from grasp_refine.hands.displacement import Displacement
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import (
-    CLOSE,
-    FULL_START,
-    MOVED_SHARE,
-    Search,
-    search,
-)
+from grasp_refine.refinement.force_closure_search import FULL_START, MOVED_SHARE, Search, search
+from grasp_refine.refinement.phases import CLOSE
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.scene.hand_object import HandObject

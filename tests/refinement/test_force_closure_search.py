@@ -25,24 +25,18 @@ from grasp_refine.objects.region import HalfSpace
 from grasp_refine.refinement import force_closure_search
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import (
-    CLOSE,
-    MISS_SCALE_M,
-    PHASES,
     PINCH_SHARE,
     SAME_SCORE,
-    SETTLE,
-    SHORTFALL_WEIGHT,
-    SLIDE,
     START_JOINTS_RAD,
     START_ROTATION_RAD,
     START_TRANSLATION_M,
-    YIELDING_WEIGHT,
     Search,
-    judge,
     most_iterations,
 )
 from grasp_refine.refinement.grasp_problem import GraspProblem, sample_noise
 from grasp_refine.refinement.iteration_state import IterationState
+from grasp_refine.refinement.judging import MISS_SCALE_M, SHORTFALL_WEIGHT, YIELDING_WEIGHT, judge
+from grasp_refine.refinement.phases import CLOSE, PHASES, SETTLE, SLIDE
 from grasp_refine.refinement.pinches import BEST_SCORE, pinch_score
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.refinement.solvers.iterate import Point, limited

@@ -14,7 +14,7 @@ from grasp_refine.forces.squeeze import contacts
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import judge
+from grasp_refine.refinement.judging import judge
 from grasp_refine.refinement.pinches import EDGE_WEIGHT, ROOM_M, ROOM_WEIGHT, edge_shares, finger_room, pinch_score
 from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.contact_selection import ContactSelection

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.refinement.force_closure_search import PHASES
 from grasp_refine.refinement.iteration_state import IterationState
+from grasp_refine.refinement.phases import PHASES
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.model.contacts import contacts_of, distances_text
 from grasp_refine_apps.viewer.model.counted import REMAINING, Counted

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from grasp_refine.refinement.force_closure_search import PHASES
 from grasp_refine.refinement.iteration_state import IterationState
+from grasp_refine.refinement.phases import PHASES
 from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.model.pose import Pose
