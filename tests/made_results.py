@@ -134,6 +134,7 @@ def plain_outcome(
         contact_distance=np.zeros((count, links)),
         stage_pose=np.repeat(pose[:, None], 3, axis=1),
         stage_q=np.repeat(q[:, None], 3, axis=1),
+        gap=np.full(count, ""),
         weakness=np.full(count, ""),
     )
 

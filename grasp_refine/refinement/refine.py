@@ -15,7 +15,7 @@ from grasp_refine.core.short_repr import labels, spread, tallied
 from grasp_refine.refinement.closing import close_hands
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import search
-from grasp_refine.refinement.gap_closing import close_gaps
+from grasp_refine.refinement.gap_closing import RELEASE_GAP_M, close_gaps
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
 from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, minimise
@@ -142,6 +142,10 @@ def refine(
     unreachable = np.isin(found.status, (Status.STALLED, Status.BUDGET))
     off_surface = config.weights.contact * goal.off_surface
     found.status[unreachable & (off_surface > max(config.tolerance, OFF_SURFACE_LOSS_M2))] = Status.UNREACHABLE
+    if config.holds:
+        # Gaps that are too small to see are no reason to distrust a grasp.
+        tiny = found.loss[:, 1] <= RELEASE_GAP_M**2
+        found.status[tiny & np.isin(found.status, (Status.STALLED, Status.BUDGET))] = Status.CONVERGED
     hand, count = scene.hand, max(len(scene.q), 1)
     T = np.where(sound[:, None, None], found.point.T, original.T_world_root)
     q = np.where(sound[:, None], np.clip(found.point.q, hand.lower, hand.upper), original.q)

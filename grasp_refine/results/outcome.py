@@ -19,6 +19,7 @@ from grasp_refine.measures.change import changes, contacts_moved, links_kept
 from grasp_refine.measures.formulas import COSTLY_M, MeasuredGrasps, MeasuredRefinement
 from grasp_refine.measures.geometry import Geometry, contact_errors, measure, movement
 from grasp_refine.measures.measures import MEASURES, RECORDED
+from grasp_refine.refinement.gap_closing import RELEASE_GAP_M
 from grasp_refine.refinement.refine import Refinement
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
 from grasp_refine.results.weakness import weaknesses
@@ -72,6 +73,9 @@ class Outcome:
     """Poses (N, 3, 7) of the base link at pregrasp, grasp and squeeze, as `hand_pose`."""
     stage_q: np.ndarray
     """Joint values (N, 3, n) at these stages; a squeeze may exceed the limits."""
+    gap: np.ndarray
+    """Text on the contact link of the refined grasps (N,) that is farthest from touching, such as "1.8 mm at thumb";
+    empty up to `RELEASE_GAP_M`."""
     weakness: np.ndarray
     """Text on what costs the refined grasps (N,) most quality; empty where nothing does."""
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -222,6 +226,7 @@ def compare(
         contact_distance=at_contacts(witness.distance),
         stage_pose=pose_from_transform(motion.T_world_root),
         stage_q=motion.q,
+        gap=np.array([_gap_text(scene.links, error) for error in errors[count:]], dtype=np.str_),
         weakness=np.array(_weaknesses(grasps)[count:], dtype=np.str_),
         forces=motion.forces,
     )
@@ -259,6 +264,13 @@ def _measured(
         contacts_moved=contacts,
         links_kept=links_kept(*touching),
     )
+
+
+def _gap_text(links: Sequence[str], error: np.ndarray) -> str:
+    """Return the text on the largest contact error of the links (L,), in metres, NaN for links that need not touch."""
+    error = np.nan_to_num(error)
+    worst = int(error.argmax())
+    return f"{1e3 * error[worst]:.1f} mm at {links[worst]}" if error[worst] > RELEASE_GAP_M else ""
 
 
 def _weaknesses(grasps: MeasuredGrasps) -> list[str]:

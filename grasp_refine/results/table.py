@@ -161,8 +161,10 @@ def _verdict(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> 
     if holds and outcome.usable[i]:
         if touches_outside(outcome)[i, 1]:
             return Text("outside", "yellow")
-        good = should_hold(outcome.quality[i])[1]
-        return Text("should hold", "green") if good else Text("may slip", "yellow")
+        if not should_hold(outcome.quality[i])[1]:
+            return Text("may slip", "yellow")
+        gap = str(outcome.gap[i]).partition(" at ")[0]
+        return Text.assemble(("should hold", "green"), (f", gap {gap}" if gap else "", "yellow"))
     return Text(status.label, _COLORS.get(status, ""))
 
 
@@ -198,7 +200,7 @@ def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[
         lines.append(
             Text.assemble((f"{slips.sum()} {how}", "yellow"), f"{_numbers_in_brackets(outcome, slips)}: {advice}")
         )
-        lines += _weakness_lines(outcome, slips)
+        lines += _text_lines(outcome, slips, outcome.weakness)
     return lines
 
 
@@ -213,25 +215,30 @@ def _misplaced(outcome: Outcome) -> list[Text]:
     if outside[:, 1].any():
         numbers, how = _numbers_in_brackets(outcome, outside[:, 1]), f"{outside[:, 1].sum()} touch elsewhere"
         lines.append(Text.assemble((how, "yellow"), f"{numbers}: {REGION_ADVICE}"))
-    return lines + _weakness_lines(outcome, outside[:, 1])
+    return lines + _text_lines(outcome, outside[:, 1], outcome.weakness)
 
 
-def _weakness_lines(outcome: Outcome, slips: np.ndarray) -> list[Text]:
-    """Return a line for each of the first of some grasps on what makes it weak."""
-    rows = [row for row in np.flatnonzero(slips) if outcome.weakness[row]][:MAX_NUMBERED_GRASPS]
+def _text_lines(outcome: Outcome, which: np.ndarray, texts: np.ndarray) -> list[Text]:
+    """Return a line for each of the first of some grasps with its text, where it has one."""
+    rows = [row for row in np.flatnonzero(which) if texts[row]][:MAX_NUMBERED_GRASPS]
     names = [numbers_text(outcome.object, outcome.index, np.arange(len(outcome)) == row) for row in rows]
-    return [Text(f"  grasp {name}: {outcome.weakness[row]}") for name, row in zip(names, rows, strict=True)]
+    return [Text(f"  grasp {name}: {texts[row]}") for name, row in zip(names, rows, strict=True)]
 
 
 def _converged(outcome: Outcome, config: Config) -> list[Text]:
-    """Return lines on the number of converged grasps, and advice on the others."""
-    converged = int((outcome.status == Status.CONVERGED).sum())
-    color = "green" if converged == len(outcome) else "yellow"
-    lines = [Text.assemble((f"{converged} of {count_text(len(outcome), 'grasp')} converged", color))]
+    """Return lines on the number of grasps that converged or, where they should hold, touch, and advice on others."""
+    done = outcome.usable & (outcome.gap == "") if config.holds else outcome.status == Status.CONVERGED
+    color = "green" if done.all() else "yellow"
+    how = "touch with all contact links" if config.holds else "converged"
+    lines = [Text.assemble((f"{done.sum()} of {count_text(len(outcome), 'grasp')} {how}", color))]
+    if config.holds and (gaps := outcome.usable & ~done).any():
+        have = "has a gap" if gaps.sum() == 1 else "have a gap"
+        lines.append(Text.assemble((f"{gaps.sum()} {have}", "yellow"), f"{_numbers_in_brackets(outcome, gaps)}:"))
+        lines += _text_lines(outcome, gaps, outcome.gap)
     for status in Status:
         count = int((outcome.status == status).sum())
         advice = status_advice(status, outcome, config)
-        if count and advice:
+        if count and advice and not (config.holds and status == Status.STALLED):
             numbers = _numbers_in_brackets(outcome, outcome.status == status)
             lines.append(Text.assemble((f"{count} {status.label}", _COLORS[status]), f"{numbers}: {advice}"))
     return lines
