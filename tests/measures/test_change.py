@@ -35,9 +35,9 @@ from grasp_refine.scene.scene import Scene
 def test_a_word_says_which_links_touch_and_whether_they_moved(
     before: str, after: str, moved_m: float, kept: float, word: str
 ) -> None:
-    touching = [np.array([[name in links for name in "abcd"]]) for links in (before, after)]
-    assert changes(*touching, np.array([moved_m])).tolist() == [word]
-    np.testing.assert_allclose(links_kept(*touching), [kept])
+    first, last = (np.array([[name in links for name in "abcd"]]) for links in (before, after))
+    assert changes(first, last, np.array([moved_m])).tolist() == [word]
+    np.testing.assert_allclose(links_kept(first, last), [kept])
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def refined_to(
     scene: Scene, T: np.ndarray, q: np.ndarray, tips: tuple[str, ...] = TIPS, status: Status = Status.CONVERGED
 ) -> Outcome:
     """The outcome of a refinement that ended with these poses, and these tips touching."""
-    N, L = scene.contact_gap.shape
+    N, L = len(q), len(scene.links)
     touching, zero = np.tile(np.isin(scene.links, tips), (N, 1)), np.zeros(N, dtype=int)
     nowhere, ended = np.full((N, L, 3), np.nan), np.full(N, status)
     refinement = Refinement(T, q, touching, nowhere, nowhere, ended, np.zeros((N, 2)), *[zero] * 5)

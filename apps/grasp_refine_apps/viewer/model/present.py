@@ -69,15 +69,16 @@ def _measures(collection: Collection, works: Mapping[int, Work]) -> dict[str, Co
         for number, found in entries.items():
             values[number] = found.get(column.key, np.nan)
         columns[column.key] = column.with_values(values)
-    for column in OF_REFINEMENT:
+    for word in OF_REFINEMENT:
         texts = {
-            number: "" if work.outcome is None else str(work.outcome.texts()[column.key][0])
+            number: "" if work.outcome is None else str(work.outcome.texts()[word.key][0])
             for number, work in works.items()
         }
-        before = collection.columns.get(column.key)
+        before = collection.columns.get(word.key)
         if before is not None or any(texts.values()):
-            found = _texts(len(collection), texts, None if before is None else before.values)
-            columns[column.key] = column.with_values(found)
+            columns[word.key] = word.with_values(
+                _texts(len(collection), texts, None if before is None else before.values)
+            )
     return columns
 
 
