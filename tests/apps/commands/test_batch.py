@@ -146,17 +146,20 @@ def test_every_grasp_is_in_one_result_file_and_in_the_index(whole: Path, sources
 
 
 def test_grasps_are_refined_and_described_as_run_does(sources: Path, tmp_path: Path):
-    options = ("--geometry-only", "--iterations", "12", "--json")
+    settings = ("--starts", "1", "--iterations", "12", "--confidence", "0.1")
     bottle, out = sources / "example_bottle.npz", tmp_path / "out"
-    assert batch(bottle, "--out", out, "--json", tmp_path / "batch.json", *QUICK) == 0
-    run = ("run", "--grasps", bottle, "--out", tmp_path, *options, tmp_path / "run.json")
+    assert batch(bottle, "--out", out, "--json", tmp_path / "batch.json", *QUICK[3:], *settings) == 0
+    run = ("run", "--grasps", bottle, "--out", tmp_path, *settings, "--json", tmp_path / "run.json")
     assert main([str(word) for word in run]) == 0
     (found,) = results(out).values()
     with np.load(tmp_path / "allegro_bottle.npz") as expected:
         for name in set(expected.files) - {*TIMING, "provenance"}:
             np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
-    ours, theirs = (json.loads((tmp_path / f"{name}.json").read_text())["grasps"] for name in ("batch", "run"))
-    for one, other in zip(ours, theirs, strict=True):
+    ours, theirs = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("batch", "run"))
+    counts = ("n", "converged", "changes", "good_inputs", "good_inputs_moved")
+    assert [ours["totals"][name] for name in counts] == [theirs["totals"][name] for name in counts]
+    assert 0 < ours["totals"]["good_inputs"] == sum(each["quality"]["before"] >= 0.1 for each in ours["grasps"])
+    for one, other in zip(ours["grasps"], theirs["grasps"], strict=True):
         assert set(one) == {*other, "job"}
         for name in set(other) - {*TIMING}:
             assert one[name] == other[name], name
