@@ -73,7 +73,7 @@ def test_the_table_speaks_millimetres_and_says_what_changed():
         lines[-8:],
         (
             (f"quality {BAR}", "0 → 3 of 3", "`validate`"),
-            ("3 of 3", "converged"),
+            ("3 of 3", "touch with all contact links"),
             ("change: 3 kept",),
             ("wrench residual", "3 of 3", "mean 0.200 → 0.050"),
             ("contact error", "2 of 2", "mean 10.000 → 1.000 mm"),
