@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -82,7 +83,9 @@ def is_open(scene: Scene, prepared: HandObject) -> Bool[np.ndarray, " N"]:
     return posed & (sum(near[:, groups == name].any(axis=1) for name in counted) < 2)
 
 
-def close_hands(scene: Scene, prepared: HandObject, *, gap: float = 0.0) -> ClosedHands:
+def close_hands(
+    scene: Scene, prepared: HandObject, *, gap: float = 0.0, frozen: Bool[np.ndarray, " n"] | Literal[False] = False
+) -> ClosedHands:
     """Close the open hands of a scene (`is_open`); the base link stays.
 
     All joints that bend fingers close together, each by an even share of its range, within their limits. A joint stops
@@ -94,11 +97,12 @@ def close_hands(scene: Scene, prepared: HandObject, *, gap: float = 0.0) -> Clos
         scene: Hand, object and grasps; targets are ignored.
         prepared: Geometry of this hand and object.
         gap: Distance in metres from the object at which fingers stop; below 0: a depth.
+        frozen: True (n,) for joints that stay where they are.
     """
     hand, q = scene.hand, scene.q.copy()
     rows = np.flatnonzero(is_open(scene, prepared))
     moved = np.zeros(len(q))
-    closing = _closing(hand) if len(rows) else np.zeros(len(hand.rest))
+    closing = np.where(frozen, 0.0, _closing(hand)) if len(rows) else np.zeros(len(hand.rest))
     if not closing.any():
         return ClosedHands(q, moved)
     fingers = _Fingers.of(hand, prepared, closing)

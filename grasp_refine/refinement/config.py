@@ -39,6 +39,9 @@ class Config:
     """Movements of equal cost in the term that keeps a grasp near its start."""
     max_move: MaxMove = field(default_factory=MaxMove)
     """Bounds on the movement of a grasp from its start."""
+    freeze: tuple[str, ...] = ()
+    """Parts of the hand that keep their values to the last bit, by name: "palm", its "translation" or "rotation" alone,
+    fingers (`Hand.fingers`) and joints. `Frozen.of` says what each keeps. Joint values beyond a limit go to it."""
     starts: int = 6
     """Number of starts from which Levenberg-Marquardt tries a grasp that may not hold."""
     prefer: Literal["closest", "balanced", "strongest"] = "closest"

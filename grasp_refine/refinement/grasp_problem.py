@@ -56,7 +56,7 @@ class GraspProblem:
         self.setup, self.patched = setup, setup.is_flat
         self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
         self.width, self.restarts = config.width, len(self.aimed_columns) > 0
-        self.variables = variables(scene, config.max_move)
+        self.variables = variables(scene, config.max_move, config.freeze)
         metres, turn, joint = RESTART_NOISE
         joints = np.where(scene.hand.slides, metres, joint)
         self.noise = np.concatenate([np.full(3, metres), np.full(3, turn), joints])

@@ -15,6 +15,7 @@ from grasp_refine.core.se3 import body_gradient
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.frozen import Frozen
 from grasp_refine.refinement.solvers.first_order import FirstOrder
 from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.refinement.terms.term import Setup, State
@@ -33,7 +34,7 @@ class Slope:
     loss: np.ndarray
     """Losses (M,) in m^2; NaN where a query could not be answered."""
     gradient: np.ndarray
-    """Gradients (M, 6 + n) at the root, as a body twist (v, w), and in the joint values."""
+    """Gradients (M, 6 + n) at the root, as a body twist (v, w), and in the joint values; 0 where these are frozen."""
     num_queries: np.ndarray
     """Narrow-phase queries (M,)."""
     number: np.ndarray
@@ -66,6 +67,7 @@ class Objective:
         self_pairs, self.self_links = prepared.self_collision_pairs, prepared.self_collision_links
         self.self_layer = None if self_pairs is None else WitnessLayer(self_pairs, config.derivative)
         self.lower, self.upper = limits_within(hand.lower, hand.upper, dtype, config.device)
+        self.frozen = Frozen.of(hand, config.freeze)
         self.per_radian = self.tensor(hand.per_radian)
         solver = config.solver
         self._transport = None
@@ -122,6 +124,7 @@ class Objective:
         pairs = [state.witness.detached(), state.self_witness.detached()]
         unknown = np.logical_or(*((found.status > QueryStatus.FAR).any(axis=1) for found in pairs))
         value, slope = (found.detach().double().cpu().numpy() for found in (loss, gradient))
+        slope = np.where(self.frozen.unknowns, 0.0, slope)
         num_queries = sum(found.num_queries.sum(axis=1) for found in pairs)
         if state.nearby is not None:
             unknown, num_queries = unknown | state.nearby.failed, num_queries + state.nearby.num_queries

@@ -15,6 +15,7 @@ from grasp_refine.core.short_repr import labels, spread, tallied
 from grasp_refine.refinement.closing import close_hands
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import search
+from grasp_refine.refinement.frozen import Frozen
 from grasp_refine.refinement.gap_closing import RELEASE_GAP_M, close_gaps
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
@@ -98,8 +99,8 @@ def refine(
         The best iterate of each grasp by true loss. Not converging is a status, never an exception.
 
     Raises:
-        GraspRefineError: an argument of another type, a link that should touch does not exist, `prepared` is of another
-            hand or object, or a first-order solver is to move an arm.
+        GraspRefineError: an argument of another type, a link that should touch or a part to freeze does not exist,
+            `prepared` is of another hand or object, or a first-order solver is to move an arm.
     """
     check_kind("scene", scene, Scene)
     check_kind("config", config, Config | None)
@@ -110,6 +111,7 @@ def refine(
     config = config or Config()
     if scene.hand.arm is not None and config.solver.needs_autograd:
         raise GraspRefineError("descent and adam move hands without an arm: use levenberg-marquardt for one on an arm")
+    frozen = Frozen.of(scene.hand, config.freeze)
     prepared = prepared or HandObject.of(scene)
     if prepared.hand is not scene.hand or prepared.object is not scene.object:
         raise GraspRefineError(
@@ -124,7 +126,7 @@ def refine(
     scene, closed = replace(scene.masked(sound), contact_gap=None), None
     if scene.hand.has_two_fingers and scene.target_link is None:
         # Jaws first close on the object; the hand moves by the remaining gap.
-        closed = close_hands(scene, prepared, gap=-JAW_DEPTH_M)
+        closed = close_hands(scene, prepared, gap=-JAW_DEPTH_M, frozen=frozen.joints)
         scene = replace(scene, q=closed.q)
     if config.holds:
         reached = None
@@ -147,8 +149,9 @@ def refine(
         tiny = found.loss[:, 1] <= RELEASE_GAP_M**2
         found.status[tiny & np.isin(found.status, (Status.STALLED, Status.BUDGET))] = Status.CONVERGED
     hand, count = scene.hand, max(len(scene.q), 1)
-    T = np.where(sound[:, None, None], found.point.T, original.T_world_root)
-    q = np.where(sound[:, None], np.clip(found.point.q, hand.lower, hand.upper), original.q)
+    T, q = frozen.restore(found.point.T, found.point.q, original.T_world_root, original.q)
+    T = np.where(sound[:, None, None], T, original.T_world_root)
+    q = np.where(sound[:, None], np.clip(q, hand.lower, hand.upper), original.q)
     # The cost of work on all grasps together is divided evenly.
     wall, cpu = time.perf_counter() - wall - found.wall_s.sum(), time.process_time() - cpu - found.cpu_s.sum()
     return Refinement(

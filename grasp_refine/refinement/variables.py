@@ -13,6 +13,7 @@ from jaxtyping import Float
 from grasp_refine.core.se3 import distances
 from grasp_refine.hands.chain import integrate
 from grasp_refine.hands.inverse_kinematics import ArmKinematics
+from grasp_refine.refinement.frozen import Frozen
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.scene.scene import Scene
@@ -30,15 +31,17 @@ BISECTIONS = 24
 class Variables:
     """Steps, bounds and metric of a hand that moves freely."""
 
-    def __init__(self, scene: Scene, max_move: MaxMove) -> None:
+    def __init__(self, scene: Scene, max_move: MaxMove, freeze: tuple[str, ...] = ()) -> None:
         """Prepare the unknowns of the grasps of a scene."""
         self.scene, self.max_move = scene, max_move
         hand = scene.hand
+        self.frozen = Frozen.of(hand, freeze)
         joints = np.where(hand.slides, 1.0, JOINTS_M_PER_RAD**2)
         self.scales = np.concatenate([np.ones(3), np.full(3, ROTATION_M_PER_RAD**2), joints])
         metres, _, radians = MAX_STEP
         # Bounds of each unknown would depend on the axes of the world: `integrate` shortens steps of the palm.
         self.step = np.concatenate([np.full(6, np.inf), np.where(hand.slides, metres, radians)])
+        self.step[self.frozen.unknowns] = 0.0
 
     def palm(self, point: Point) -> Float[np.ndarray, "M 4 4"]:
         """Return the poses (M, 4, 4) of the palm."""
@@ -85,19 +88,23 @@ class Variables:
         return Point(integrate(point.T, dx[:, :6]), point.q + dx[:, 6:])
 
     def project(self, member: np.ndarray, point: Point) -> Point:
-        """Return the nearest grasps within the joint limits and the movement bounds from the initial grasps."""
+        """Return the nearest grasps within the joint limits and the movement bounds from the initial grasps.
+
+        Frozen parts are as in the initial grasps, joint values beyond their limits at the limit.
+        """
         scene = self.scene
         first = scene.T_world_root[member], scene.q[member]
         T, q = self.max_move.project(point.T, point.q, *first, scene.hand.per_radian)
+        T, q = self.frozen.restore(T, q, *first)
         return Point(T, np.minimum(np.maximum(q, scene.hand.lower), scene.hand.upper))
 
 
 class ArmVariables(Variables):
     """Steps, bounds and metric of a hand on an arm, whose base stands still."""
 
-    def __init__(self, scene: Scene, max_move: MaxMove) -> None:
+    def __init__(self, scene: Scene, max_move: MaxMove, freeze: tuple[str, ...] = ()) -> None:
         """Prepare the unknowns; what a joint of the arm moves is taken at the initial grasps."""
-        super().__init__(scene, max_move)
+        super().__init__(scene, max_move, freeze)
         hand = scene.hand
         self.step[:6] = 0.0
         self.kinematics = ArmKinematics(hand)
@@ -141,6 +148,7 @@ class ArmVariables(Variables):
         T, q_first = self.scene.T_world_root[member], self.scene.q[member]
         most = np.where(hand.arm_joints, np.inf, bounds.joints * hand.per_radian)
         q = np.clip(point.q, q_first - most, q_first + most)
+        _, q = self.frozen.restore(T, q, T, q_first)
         q = np.minimum(np.maximum(q, hand.lower), hand.upper)
         if np.isinf(bounds.translation) and np.isinf(bounds.rotation):
             return Point(T, q)
@@ -158,6 +166,6 @@ class ArmVariables(Variables):
         return (moved <= self.max_move.translation) & (turned <= self.max_move.rotation)
 
 
-def variables(scene: Scene, max_move: MaxMove) -> Variables:
-    """Return the unknowns of the grasps of a scene."""
-    return (Variables if scene.hand.arm is None else ArmVariables)(scene, max_move)
+def variables(scene: Scene, max_move: MaxMove, freeze: tuple[str, ...] = ()) -> Variables:
+    """Return the unknowns of the grasps of a scene; `freeze` as in `Config`."""
+    return (Variables if scene.hand.arm is None else ArmVariables)(scene, max_move, freeze)

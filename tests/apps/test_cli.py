@@ -248,6 +248,21 @@ def test_a_refined_grasp_is_no_farther_than_it_may_be():
         assert grasp["moved_joints_rad"] <= 0.02 + 1e-9
 
 
+def test_frozen_parts_of_a_hand_stay():
+    """The pose has the bits of the input, as has the thumb; other fingers move. The pregrasp opens the thumb."""
+    quick = (*QUICK, "--index", "0", "--starts", "1")
+    assert main([*quick, "--freeze", "palm", "thumb", "--json", "report.json"]) == 0
+    report = json.loads(Path("report.json").read_text())
+    assert report["config"]["refine"]["freeze"] == ["palm", "thumb"]
+    assert all(grasp["moved_palm_m"] == 0.0 and grasp["moved_joints_rad"] > 0.0 for grasp in report["grasps"])
+    with np.load("grasp-refine-results/allegro_rounded_box.npz") as result:
+        np.testing.assert_array_equal(result["hand_pose"], result["hand_pose_before"])
+        moved = (result["q"] != result["q_before"]).any(axis=0)
+        thumb = np.isin(result["joint_names"], [f"joint_{joint}.0" for joint in range(12, 16)])
+        assert moved.any() and not moved[thumb].any()
+        assert (result["pregrasp_q"] != result["q"])[:, thumb].any()
+
+
 def test_nothing_usable_is_exit_code_1(grasp_file: Callable[..., Path], capsys: pytest.CaptureFixture[str]):
     with np.load(EXAMPLE) as example:
         away = example["hand_pose"] + np.array([1.0, 0, 0, 0, 0, 0, 0])
@@ -341,6 +356,7 @@ def test_targets_must_fit_the_grasps(grasp_file: Callable[..., Path], capfd: pyt
         ("--index 0,x", ("--index", "'x'")),
         ("mine.npz", ("--grasps mine.npz",)),
         ("--object rounded_box --contacts thumbb", ("thumbb", "thumb?")),
+        ("--object rounded_box --freeze pal", ("--freeze", "pal", "palm?", "translation", "thumb", "joint_3.0")),
         ("--object mugg", ("mugg", "mug?")),
         ("--weights.contact nan", ("--weights.contact", "nan")),
         ("--descent.shares 0.5", ("descent", "shares", "factors", "1 and 2")),

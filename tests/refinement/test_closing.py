@@ -14,7 +14,9 @@ from grasp_refine.core.se3 import transform
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.closing import close_hands, closing_notes, is_open
+from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import JAW_DEPTH_M, refine
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
@@ -135,6 +137,22 @@ def test_open_jaws_hold_what_is_between_them_and_nothing_else(franka: Hand, bloc
     np.testing.assert_allclose(motion.q[:2, 0], 0.04, atol=1e-3)
     world = build_world(model_of(franka), block, Task(replace(DEXGRASPBENCH, checks=2, multiccd=True)))
     assert simulate(world, motion).success.tolist() == [True, True, False]
+
+
+def test_frozen_jaws_stay_open(block: Object) -> None:
+    """The other jaw closes as without them; a refinement keeps their bits."""
+    hand = load_hand(Path(__file__).parents[1] / "two_jaws.urdf")
+    scene = around(hand, block, 0.004, opening=0.05)
+    free, still = close_hands(scene, HandObject.of(scene)).q, np.array([True, False])
+    closed = close_hands(scene, HandObject.of(scene), frozen=still).q
+    np.testing.assert_array_equal(closed, np.where(still, scene.q, free))
+    config = Config(LevenbergMarquardt(iterations=10), starts=2, freeze=hand.joint_names[:1])
+    found = refine(scene, config)
+    np.testing.assert_array_equal(found.q[:, 0], scene.q[:, 0])
+    assert found.q[0, 1] < 0.045
+    found = refine(scene, replace(config, freeze=hand.joint_names))
+    np.testing.assert_array_equal(found.q, scene.q)
+    np.testing.assert_array_equal(found.closed_m, 0.0)
 
 
 def test_refinement_closes_jaws_before_it_moves_the_hand(franka: Hand, block: Object) -> None:

@@ -27,6 +27,7 @@ from grasp_refine.problem.spec import NEAREST, SAMPLE, ProblemSpec
 from grasp_refine.problem.trajectories import follow_trajectories, plan_trajectories
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
+from grasp_refine.refinement.frozen import Frozen
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.results.document import run_document, settings
 from grasp_refine.results.profile import profile_table
@@ -227,6 +228,7 @@ class Run:
         """
         touching = config.contact_selection
         touching.named(problem.hand, links_of(problem.hand))
+        Frozen.of(problem.hand, config.freeze)
         if touching != ContactSelection() and problem.aimed and not config.holds:
             raise GraspRefineError(
                 "--contacts, --reach and --other-link-distance have no effect here: without force balance, the targets "

@@ -73,7 +73,7 @@ class Settings:
             "refinement",
             "Aim and effort of the refinement.",
             (
-                *("prefer", "confidence", "geometry_only", "starts", "max_move"),
+                *("prefer", "confidence", "geometry_only", "starts", "max_move", "freeze"),
                 *("contacts", "reach", "other_link_distance"),
                 *("margin", "clearance", "pressure", "seconds", "iterations", "tolerance", "seed", "solver"),
             ),
@@ -116,6 +116,9 @@ class Settings:
     ] = None
     """Largest change of a grasp, as in 0.01,0.1,0.2: translation of the hand in metres, its rotation in radians, and
     each joint in radians (a prismatic one: 0.1 m per radian); inf: no limit."""
+    freeze: Annotated[tuple[str, ...], arg(metavar="NAME [...]", help_behavior_hint="(default: nothing)")] = ()
+    """Parts of the hand that do not move at all: palm, or its translation or rotation alone; fingers, as
+    `refine-grasp hands` lists them; joints. Pregrasp and squeeze move them nevertheless."""
     seconds: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: no limit)")] = None
     """CPU time after which levenberg-marquardt ends the work on a grasp; the best result until then counts."""
     geometry_only: bool = False
@@ -220,6 +223,7 @@ class Settings:
             weights=replace(self.weights, wrench=0.0) if self.geometry_only else self.weights,
             scales=self.scales,
             max_move=MaxMove() if self.max_move is None else MaxMove(*self.max_move),
+            freeze=self.freeze,
             starts=self.starts,
             prefer=self.prefer,
             confidence=self.confidence,

@@ -30,6 +30,7 @@ OPTIONS: dict[str, tuple[Settings, Any]] = {
     "contacts": (Settings(), ("thumb",)), "width": (Settings(), 5), "seed": (Settings(), 3),
     "weights": (Settings(), Weights(penetration=2.0)), "derivative": (FIRST_ORDER, "distance"),
     "neighborhood": (FIRST_ORDER, "fixed"), "transport": (FIRST_ORDER, True), "dtype": (FIRST_ORDER, "float32"),
+    "freeze": (Settings(), ("palm",)),
 }  # fmt: skip
 """Option -> options before, and another value."""
 

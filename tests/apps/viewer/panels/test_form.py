@@ -89,6 +89,7 @@ def test_what_is_written_is_read_back(settings: Settings):
         ("iterations", "50", 50),
         ("contacts", "thumb, index", ("thumb", "index")),
         ("contacts", "", ()),
+        ("freeze", "palm, thumb", ("palm", "thumb")),
         ("max_move", "0.01, inf 0.2", (0.01, inf, 0.2)),
         ("descent.shares", "0.5 0.8", (0.5, 0.8)),
     ],
