@@ -40,13 +40,16 @@ MethodName = Literal["as-given", "own-stages", "geometry-only", "forces"]
 LABELS = {"as-given": "as given", "own-stages": "own stages", "geometry-only": "geometry only"}
 """Name of a method -> its label for people; of refinement with forces, the number of starts."""
 
-COSTS = ("cpu_s", "wall_s", "starts", "moved_palm_m", "moved_palm_rad", "moved_joints_rad")
+COSTS = (
+    *("cpu_s", "wall_s", "starts", "displacement_m", "contacts_moved_m", "links_kept"),
+    *("moved_palm_m", "moved_palm_rad", "moved_joints_rad"),
+)
 """Measures of a refinement that are kept, keys of `Outcome`; NaN where there was none."""
 
 GROUPINGS = ("hand", "source", "object", "shape", "size")
 """Labels of grasps by which they are grouped."""
 
-LAYOUT_VERSION = 1
+LAYOUT_VERSION = 2
 """Version of the layout of the files of cases; a new number makes all outdated."""
 
 

@@ -56,7 +56,7 @@ def test_stages_of_the_file_are_simulated_as_given(results: list[Measured]):
 
 def test_only_refinement_costs_and_moves(results: list[Measured]):
     for one in results[:2]:
-        for name in ("cpu_s", "wall_s", "starts", "moved_palm_m"):
+        for name in ("cpu_s", "wall_s", "starts", "moved_palm_m", "displacement_m"):
             assert np.isnan(one.values[name]).all()
         assert one.values["contact_error_m"][0] == pytest.approx(0.002, abs=1e-6)
     for one in results[2:]:

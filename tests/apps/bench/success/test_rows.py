@@ -38,7 +38,8 @@ def part(
         "wall_s": 2 * cpu_s * (1.0 + ramp), "starts": np.full(n, NAN if method.starts is None else method.starts),
     }  # fmt: skip
     values = {each.name: np.full(n, NAN) for each in COMPARED} | values
-    moved = {"moved_palm_m": 0.01, "moved_palm_rad": 0.1, "moved_joints_rad": 0.2}
+    moved = {"moved_palm_m": 0.01, "moved_palm_rad": 0.1, "moved_joints_rad": 0.2, "contacts_moved_m": 5e-3}
+    moved |= {"displacement_m": 1e-3 * (1.0 + ramp), "links_kept": 1.0 - 0.25 * ramp}
     values |= {name: np.full(n, NAN if method.starts is None else value) for name, value in moved.items()}
     labels = {"hand": hand, "source": "sampled", "object": name, "shape": "convex", "size": "not known", "scale": "1"}
     verdict = {"dexgraspbench": np.array(easy), "strict": np.array(hard)}
@@ -81,12 +82,15 @@ def test_what_holds_is_counted_pooled_and_by_object(parts: list[list[Measured]])
 def test_costs_and_measures_are_pooled(parts: list[list[Measured]]):
     given, own, geometry, forces = rows(parts, TRIALS)[:4]
     assert (given["method"], given["starts"], forces["method"], forces["starts"]) == ("as-given", None, "forces", 6)
-    for name in ("cpu_mean_s", "wall_median_s", "moved_palm_median_m", "starts_mean"):
+    for name in ("cpu_mean_s", "wall_median_s", "moved_palm_median_m", "displacement_q90_m", "starts_mean"):
         assert given[name] is None and own[name] is None
     # 10, 20, 30, 40 and 10 ms.
     assert (geometry["cpu_mean_s"], geometry["cpu_median_s"]) == pytest.approx((0.022, 0.02))
     assert geometry["wall_mean_s"] == pytest.approx(0.044) and forces["starts_mean"] == 6.0
     assert geometry["moved_palm_median_m"] == 0.01 and geometry["moved_joints_median_rad"] == 0.2
+    # 1, 2, 3, 4 and 1 mm; 1, 3/4, 1/2, 1/4 and 1.
+    assert (geometry["displacement_median_m"], geometry["displacement_q90_m"]) == pytest.approx((2e-3, 4e-3))
+    assert geometry["links_kept_mean"] == pytest.approx(0.7) and geometry["contacts_moved_median_m"] == 5e-3
     # 0, 1, 2, 3 and 0 mm.
     assert given["penetration_mean_m"] == pytest.approx(1.2e-3) and given["penetration_q95_m"] == 3e-3
     assert given["self_penetration_max_m"] == pytest.approx(3e-4)
