@@ -17,8 +17,8 @@ from grasp_refine.refinement.phases import CLOSE
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 
-HOLDS = 0.9
-"""Quality, the estimated probability of holding, from which on a grasp should hold."""
+HOLDS = Config.confidence
+"""Quality, the estimated probability of holding, from which on a grasp should hold: what refinement aims at."""
 
 BAR = f"{HOLDS:g} or more"
 """`HOLDS` in words."""

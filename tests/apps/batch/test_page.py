@@ -15,6 +15,7 @@ from batch_rows import document, failure, made_up_rows
 from drawn_charts import bars, paths, tooltips
 from grasp_refine.measures.measures import COMPARED, MEASURES
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.batch.chart import CHARTED, chart, statistics_row
 from grasp_refine_apps.batch.page import MAX_KINDS, page
 from grasp_refine_apps.batch.pictures import Picture
@@ -103,7 +104,7 @@ def test_counts_are_as_in_the_statistics():
     said = words_of(html)
     assert_names(said, "8 grasps", "7 of 8", "12.0 / s")
     tiles = [re.findall(r"[\d.]+", words_of(tile)) for tile in re.findall("<li.*?</li>", html, re.S) if "→" in tile]
-    assert tiles == [["25.0", "62.5", "2", "5"], ["12.5", "75.0", "0.9", "1", "6"]], "simulation comes first"
+    assert tiles == [["25.0", "62.5", "2", "5"], ["12.5", "75.0", f"{HOLDS:g}", "1", "6"]], "simulation comes first"
     agreement = [
         re.findall(r"\d+", line.rpartition(": ")[2]) for line in re.findall("<p>.*?</p>", html) if " of 8" in line
     ]
@@ -147,7 +148,9 @@ def test_bars_are_as_high_as_shares_and_hovering_says_them():
     assert "0.960 to 1.00: 0.0 % before, 75.0 % after" in tooltips(svg)
     (mark,) = [path for path in paths(svg, "fill: none") if len(path) == 2 and np.ptp(path[:, 1]) > 50]
     left, right = (path[:, 0].min() for path in np.array(paths(svg, "fill: var(--c0)"))[[0, -1]])
-    assert 0.85 < (mark[0, 0] - left) / (right - left) < 0.96, "at a quality of 0.9"
+    assert HOLDS - 0.05 < (mark[0, 0] - left) / (right - left) < HOLDS + 0.05, (
+        "at the quality from which a grasp should hold"
+    )
 
 
 def test_the_worst_is_at_the_end_where_a_measure_is_worse():
