@@ -44,6 +44,8 @@ def slip_advice(outcome: Outcome, config: Config) -> str:
         ways = ["more `starts`"]
         if config.max_move != MaxMove():
             ways.append("a wider `max_move`")
+        if config.freeze:
+            ways.append("fewer parts in `freeze`")
         if isfinite(config.seconds):
             ways.append("more `seconds`")
         return f"try {', '.join(ways)}, or other grasps"
@@ -58,8 +60,9 @@ def status_advice(status: Status, outcome: Outcome, config: Config) -> str:
         return "the time or the iterations ran out while the loss still fell: raise `seconds`, or refine it again"
     if status == Status.BUDGET and config.holds and config.solver.iterations >= CLOSE.iterations:
         return "gaps were still closing when the iterations of a start ran out: refine the result again"
-    if status == Status.STALLED and config.max_move != MaxMove():
-        return f"{status.advice}; it may be `max_move` that stops it"
+    limits = [name for name in ("max_move", "freeze") if getattr(config, name) != getattr(Config(), name)]
+    if status == Status.STALLED and limits:
+        return f"{status.advice}; it may be {' or '.join(f'`{name}`' for name in limits)} that stops it"
     return status.advice
 
 
