@@ -25,7 +25,7 @@ from grasp_refine.refinement.gap_closing import close_gaps, release_links
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
 from grasp_refine.refinement.judging import MISS_SCALE_M, judge, target_miss
-from grasp_refine.refinement.phases import CLOSE, PHASES, STAYS, Phase
+from grasp_refine.refinement.phases import CLOSE, KEEP, PHASES, STAYS, Phase
 from grasp_refine.refinement.pinches import BEST_SCORE
 from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, limited, minimise
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
@@ -40,9 +40,9 @@ two fingers, whose forces hardly say what holds (`pinches`), or unless the close
 
 MOVED_SHARE = 0.2
 """Share of the probability of failing that `Config.confidence` allows, for grasps that are moved to make them hold:
-grasps that a search brings just over a bar hold less often than grasps that came so. Of 15 grasps of BODex,
-DexGraspNet and FRoGGeR that were moved to a quality between 0.95 and 0.99, 67 % held in protocol `strict`; of 51 above
-it 98 %."""
+grasps that a search brings just over a bar hold less often than input grasps of that quality. Of 21 grasps of BODex,
+DexGraspNet and FRoGGeR that were moved to a quality from 0.95 to 0.99, 67 % held in protocol `strict`; of 51 above it
+98 %."""
 
 PINCH_SHARE = 0.7
 """Share of its score below which a grasp of two contact points is replaced by one from another start, unless that is
@@ -101,7 +101,8 @@ def most_iterations(config: Config, *, aimed: bool = False) -> int:
         return most
     each = sum(min(phase.iterations, most) for phase in PHASES)
     held_back = 0 if config.prefer == "strongest" else len(STAYS) - 1
-    return (most if aimed else 0) + min(CLOSE.iterations, most) + (config.starts + held_back) * each
+    closing = (2 if config.prefer == "closest" else 1) * min(CLOSE.iterations, most)
+    return (most if aimed else 0) + closing + (config.starts + held_back) * each
 
 
 def search(
@@ -129,9 +130,11 @@ def search(
     rows = np.flatnonzero(status == Status.RUNNING)
     if search.by_quality:
         search.good_inputs[rows] = search.judge(rows, search.initial(rows))[2] >= config.confidence
-    closed = search.attempt(rows, take(search.start, rows), (CLOSE,))
-    search.touching[rows] = closed.goal.touching
-    search.take(rows, closed)
+    for phase in (KEEP, CLOSE):
+        some = rows[search.good_inputs[rows]] if phase is KEEP else search.unsatisfied(rows)
+        closed = search.attempt(some, take(search.start, some), (phase,))
+        search.touching[some] = closed.goal.touching
+        search.take(some, closed)
     for stay in STAYS if search.nearest else (0.0,):
         rows = search.unsatisfied(rows)
         phases = tuple(replace(phase, stay=stay if phase.balance else 0.0) for phase in PHASES)
@@ -253,7 +256,7 @@ class Search:
         usable = ~np.isin(found.status, UNUSABLE)
         score, value = np.where(usable, score, np.inf), np.where(usable, value, 0.0)
         allowed = (1.0 - self.config.confidence) * np.where(
-            self.good_inputs[rows] & (phases == (CLOSE,)), 1.0, MOVED_SHARE
+            self.good_inputs[rows] & (phases in ((KEEP,), (CLOSE,))), 1.0, MOVED_SHARE
         )
         enough = value >= 1.0 - allowed if self.by_quality else score <= self.good
         first = self.initial(rows)

@@ -30,7 +30,8 @@ class Phase:
     def touching(self, touching: ContactSelection) -> ContactSelection:
         """Return the contact selection of this phase, given that of the last phase."""
         tips, others = self.farther
-        return replace(touching, reach=touching.reach + tips, other_link_distance=touching.other_link_distance + others)
+        reach, distance = touching.reach + tips, touching.other_link_distance + others
+        return replace(touching, reach=max(reach, 0.0), other_link_distance=max(distance, 0.0))
 
     def weights(self, weights: Weights) -> Weights:
         """Return the weights of this phase, given the weights of the last phase."""
@@ -46,6 +47,8 @@ class Phase:
 SLIDE = Phase("contacts slide", 25, farther=(0.01, 0.005), soft=0.01)
 SETTLE = Phase("contacts settle", 15)
 CLOSE = Phase("gaps close", 40, balance=False, patience=12)
+KEEP = replace(CLOSE, farther=(-0.005, -0.001))
+"""Gaps of an input grasp that is good enough close: links that are farther away are no part of it."""
 PHASES = (SLIDE, SETTLE, CLOSE)
 """Contacts slide to where forces balance; they settle without penetration; last, by geometry alone, gaps close (see
 `gap_closing`)."""

@@ -11,9 +11,10 @@ from grasp_refine.core.se3 import log_so3
 from grasp_refine.hands.displacement import Displacement
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import FULL_START, MOVED_SHARE, Search, search
-from grasp_refine.refinement.phases import CLOSE
+from grasp_refine.refinement.phases import CLOSE, KEEP
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from search_attempts import attempts
@@ -43,7 +44,10 @@ def test_an_input_that_is_good_enough_has_its_contacts_closed_and_nothing_else(
     """The bar is the quality of the closed grasps themselves: half of them reach it."""
     every = np.arange(6)
     some = search_of(scene, prepared, CONFIG)
-    closed = some.attempt(every, some.initial(every), (CLOSE,))
+    closed = some.attempt(every, some.initial(every), (KEEP,))
+    selection = replace(CONFIG.contact_selection, reach=0.005, other_link_distance=0.002)
+    near, all_near = (goal_of(scene, each, prepared).touching for each in (selection, CONFIG.contact_selection))
+    assert not (closed.goal.touching & ~near).any() and near.sum() < all_near.sum()
     good = np.minimum(closed.quality, some.judge(every, some.initial(every))[2])
     bar = float(np.median(good))
     found = search(scene, prepared, replace(CONFIG, confidence=bar), RUNNING.copy())

@@ -154,7 +154,7 @@ def test_all_work_is_counted(scene: Scene, prepared: HandObject, iterated: tuple
     assert (found.iterations <= most_iterations(CONFIG)).all()
     assert most_iterations(CONFIG) == 15 + 3 * (15 + 15 + 15)
     assert most_iterations(Config(starts=2, prefer="strongest")) == 40 + 2 * (25 + 15 + 40)
-    assert most_iterations(Config(starts=2)) == 40 + (2 + 2) * (25 + 15 + 40)
+    assert most_iterations(Config(starts=2)) == 2 * 40 + (2 + 2) * (25 + 15 + 40)
     # Of a phase without iterations: one evaluation, after the selection.
     search = search_of(scene, prepared, STILL)
     every, point = np.arange(4), Point(scene.T_world_root, scene.q)
