@@ -3,9 +3,13 @@
     refine-grasp bench success ... --json success.json
     refine-grasp bench align ... --json align.json
     refine-grasp bench queries ... --json queries.json
-    python docs/plots.py success.json align.json queries.json
+    python docs/plots.py hold=success.json align=align.json queries=queries.json
 
-The commands in full stand on the page. The plots are SVG files in `docs/pages/figures`.
+The commands in full stand on the page. The plots are SVG files in `docs/pages/figures`. The rows of the front are kept:
+
+    refine-grasp bench success --methods as-given closest balanced strongest ... --json success.json
+    jq '{rows: [.rows[] | select(.by == "all")]}' success.json > docs/front.json
+    python docs/plots.py front=docs/front.json
 """
 
 from __future__ import annotations
@@ -23,6 +27,8 @@ import matplotlib.pyplot as plt  # noqa: E402
 
 FIGURES = Path(__file__).parent / "pages" / "figures"
 BLUE, ORANGE = "#2b5c9e", "#d98a2b"
+PROTOCOLS = (("dexgraspbench", "friction 0.6", BLUE), ("strict", "friction 0.3", ORANGE))
+"""Protocols of the plots of success, their names and colours."""
 SOLVERS = {
     "closed-form": "closed form alone",
     "levenberg-marquardt": "Levenberg-Marquardt",
@@ -34,11 +40,9 @@ SOLVERS = {
 def hold(rows: list[dict[str, Any]], axes: Any) -> None:
     """Draw the share of grasps that hold, by method, at both frictions."""
     rows = [row for row in rows if row["by"] == "all"]
-    for offset, key, label, color in (
-        (-0.2, "success_dexgraspbench", "friction 0.6", BLUE),
-        (0.2, "success_strict", "friction 0.3", ORANGE),
-    ):
-        bars = axes.bar([i + offset for i in range(len(rows))], [100 * row[key] for row in rows], 0.38, color=color)
+    for offset, (protocol, label, color) in zip((-0.2, 0.2), PROTOCOLS, strict=True):
+        heights = [100 * row[f"success_{protocol}"] for row in rows]
+        bars = axes.bar([i + offset for i in range(len(rows))], heights, 0.38, color=color)
         bars.set_label(label)
         axes.bar_label(bars, fmt="%.0f", fontsize=8)
     names = {"as given": "input", "own stages": "own pregrasp, squeeze"}
@@ -48,6 +52,22 @@ def hold(rows: list[dict[str, Any]], axes: Any) -> None:
     axes.set_xticks(range(len(rows)), labels, fontsize=8)
     axes.set(ylabel="grasps that hold, %", ylim=(0, 108))
     axes.legend(frameon=False, ncols=2, loc="upper left", fontsize=8)
+
+
+def front(rows: list[dict[str, Any]], axes: Any) -> None:
+    """Draw the share of grasps that hold over their displacement, median and up to the 90th percentile, by method."""
+    rows = [row for row in rows if row["by"] == "all"]
+    for axis, (protocol, title, _) in zip(axes, PROTOCOLS, strict=True):
+        for number, row in enumerate(rows):
+            median, most = (1e3 * (row[f"displacement_{key}_m"] or 0.0) for key in ("median", "q90"))
+            name = "input" if row["method"] == "as-given" else row["refined"]
+            axis.errorbar(
+                [median], [100 * row[f"success_{protocol}"]], xerr=[[0.0], [most - median]], fmt="osD^v"[number % 5],
+                ms=6, elinewidth=1.0, capsize=3, label=name, zorder=3 - 0.1 * number,
+            )  # fmt: skip
+        axis.set(xlabel="displacement, mm", ylabel="grasps that hold, %", title=title, xlim=(-2, None))
+    axes[0].sharey(axes[1])
+    axes[1].legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def align(rows: list[dict[str, Any]], axes: Any) -> None:
@@ -96,16 +116,24 @@ def _plain(axis: Any) -> None:
     axis.set_minor_formatter(matplotlib.ticker.NullFormatter())
 
 
-def main(paths: list[str]) -> None:
-    """Draw the plots of three files, named in the docstring of this module."""
-    documents = [json.loads(Path(path).read_text(encoding="utf-8")) for path in paths]
+PLOTS = {
+    "hold": (hold, (7.5, 3.2), 1),
+    "front": (front, (8.6, 3.0), 2),
+    "align": (align, (8.6, 3.0), 2),
+    "queries": (queries, (8.6, 3.2), 1),
+}
+"""Name of a plot -> how it is drawn, its size in inches and its columns."""
+
+
+def main(named: list[str]) -> None:
+    """Draw plots of files, each PLOT=FILE, as in the docstring of this module."""
     plt.rcParams |= {
         "svg.hashsalt": "", "svg.fonttype": "none", "font.size": 9, "axes.spines.top": False, "axes.spines.right": False
     }  # fmt: skip
-    plots = {"hold": (hold, (7.5, 3.2), 1), "align": (align, (8.6, 3.0), 2), "queries": (queries, (8.6, 3.2), 1)}
-    for (name, (draw, size, columns)), document in zip(plots.items(), documents, strict=True):
+    for name, _, path in (text.partition("=") for text in named):
+        draw, size, columns = PLOTS[name]
         figure, axes = plt.subplots(1, columns, figsize=size, layout="constrained")
-        draw(document["rows"], axes)
+        draw(json.loads(Path(path).read_text(encoding="utf-8"))["rows"], axes)
         figure.savefig(FIGURES / f"{name}.svg", metadata={"Date": None})
         plt.close(figure)
 

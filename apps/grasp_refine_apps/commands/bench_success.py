@@ -61,7 +61,8 @@ class BenchSuccess(BenchCommand):
     """Pose of the base of --arm from the origin of each scene's object, along the axes of the world, unless --base is
     given: x,y,z,roll,pitch,yaw (metres, degrees)."""
     generators: Annotated[Names, default("all of --assets", metavar="NAME [...]")] = None
-    """Sources of grasps with --assets: sampled, and names of grasp files."""
+    """Sources of grasps with --assets: sampled, and names of grasp files; NAME:N takes N grasps, evenly from its
+    file."""
     count: Count = None
     """Number of sampled grasps of each hand on each object; with a grasp file, the first grasps of each object at
     each scale, at most this number."""
@@ -70,9 +71,12 @@ class BenchSuccess(BenchCommand):
     every: Count = None
     """Sample grasps of each hand on only every n-th object of --assets, different hands on different objects: 1/n of
     the time."""
-    methods: Annotated[DisallowNone[tuple[MethodName, ...] | None], default("all, or the preset's")] = None
+    methods: Annotated[
+        DisallowNone[tuple[MethodName, ...] | None],
+        default("as-given own-stages geometry-only closest, or the preset's"),
+    ] = None
     """Methods to compare: input as given, with our own pregrasps and squeezes, refined by geometry only, and refined
-    for force balance; the first is the reference."""
+    for force balance by what is preferred (`run --prefer`); the first is the reference."""
     starts: Annotated[DisallowNone[tuple[int, ...] | None], default("1 6, or the preset's")] = None
     """Numbers of starts of the search for grasps that may not hold; each number is a separate run."""
     protocols: Annotated[Names, default("dexgraspbench strict, or the preset's", metavar="NAME|FILE.toml [...]")] = None

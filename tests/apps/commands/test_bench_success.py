@@ -56,13 +56,13 @@ def test_grasps_with_stages_are_tried_with_both_and_again_the_same():
     found = [of(success(*asked, "--threads", threads), "all") for threads in "12"]
     for first, again in zip(*found, strict=True):
         assert numbers(first) == numbers(again)
-    given, own, geometry, forces = found[0]
-    assert [row["method"] for row in found[0]] == ["as-given", "own-stages", "geometry-only", "forces"]
-    assert len({row["refined"] for row in found[0]}) == 4 and "3" in forces["refined"]
+    given, own, geometry, closest = found[0]
+    assert [row["method"] for row in found[0]] == ["as-given", "own-stages", "geometry-only", "closest"]
+    assert len({row["refined"] for row in found[0]}) == 4 and "3" in closest["refined"]
     # Nothing presses as given; ours does.
     assert given["success_dexgraspbench"] == given["success_strict"] == 0.0 and own["success_dexgraspbench"] == 1.0
     assert given["contact_error_median_m"] == own["contact_error_median_m"] == pytest.approx(0.0025)
-    assert all(row["lost_strict"] is None and row["contact_error_median_m"] < 1e-4 for row in (geometry, forces))
+    assert all(row["lost_strict"] is None and row["contact_error_median_m"] < 1e-4 for row in (geometry, closest))
 
 
 @pytest.mark.slow

@@ -88,7 +88,8 @@ class Axes:
     scenes: tuple[str, ...] = ()
     """Scenes; their objects are grasped."""
     generators: tuple[str, ...] = ()
-    """Names of grasp files of the assets, and `SAMPLED`; empty: all."""
+    """Names of grasp files of the assets, and `SAMPLED`; empty: all. NAME:N takes N grasps, evenly from its
+    file."""
     count: int | None = None
     """Number of sampled grasps in each case; of grasps of a file the largest number on each object at each scale."""
     generated: int = 20
@@ -136,7 +137,8 @@ class Axes:
         objects, files = read_objects(assets), find_generators(assets)
         known = {thing.name: thing for thing in objects}
         _check("on", self.on, known)
-        _check("generators", self.generators, {SAMPLED: None, **files})
+        numbers = dict(_number_of(text, files) for text in self.generators)
+        _check("generators", list(numbers), {SAMPLED: None, **files})
         of_assets = {hand.name: hand for hand in find_hands(assets)}
         plain = [name for name in self.hands if name not in of_assets and f"{EMBEDDED}{name}" in of_assets]
         plain += [name for name in self.hands if name not in of_assets and Path(name).exists()]
@@ -149,24 +151,27 @@ class Axes:
                 for thing in (thing for at, thing in enumerate(chosen) if (at + number) % self.every == 0):
                     yield self._case(hand, thing, SAMPLED, self.count or 1, grasps=self._sampled, scale=thing.scale)
         for generator, file in files.items():
-            if not self.generators or generator in self.generators:
-                yield from self._generated(generator, file, list(hands.values()), objects)
+            if not self.generators or generator in numbers:
+                yield from self._generated(generator, file, numbers.get(generator), list(hands.values()), objects)
 
     def _generated(
-        self, generator: str, file: Path, hands: list[HandCase], objects: list[ObjectCase]
+        self, generator: str, file: Path, number: int | None, hands: list[HandCase], objects: list[ObjectCase]
     ) -> Iterator[Case]:
-        """Yield the cases of a generator, of its own hand alone.
+        """Yield the cases of a generator, of its own hand alone; `number` grasps in all, or `generated` on each object.
 
         Raises:
             GraspRefineError: the file cannot be read, or names an object that is not one of the assets.
         """
         grasps = load_grasps(file)
+        of_file = _evenly(len(grasps), number or 0)
         for name in dict.fromkeys(grasps.object.tolist()):
             thing = matching_object(name, objects)
             if self.on and thing.name not in self.on:
                 continue
             rows = np.flatnonzero(grasps.object == name)
-            some = np.unique(np.linspace(0, len(rows) - 1, min(self.generated, len(rows))).round().astype(int))
+            some = np.flatnonzero(np.isin(rows, of_file)) if number else _evenly(len(rows), self.generated)
+            if not len(some):
+                continue
             # Some scale the mesh, others name one in metres.
             scale = thing.scale if (grasps.scale[rows[some]] == 1.0).all() else 1.0
             chosen = {"grasps": file, "object_name": name, "index": tuple(some.tolist()), "scale": scale}
@@ -212,6 +217,17 @@ def _check(option: str, wanted: list[str] | tuple[str, ...], known: Mapping[str,
     """
     if unknown := [name for name in wanted if name not in known]:
         raise GraspRefineError(f"--{option} {unknown[0]}: there are {', '.join(known)}")
+
+
+def _number_of(text: str, files: Mapping[str, Path]) -> tuple[str, int | None]:
+    """Return the name and the number of grasps of NAME:N; other texts are names without one."""
+    name, _, number = text.rpartition(":")
+    return (name, int(number)) if name in files and number.isdecimal() and int(number) else (text, None)
+
+
+def _evenly(count: int, number: int) -> np.ndarray:
+    """Return at most `number` of the first `count` integers, at equal distances."""
+    return np.unique(np.linspace(0, count - 1, min(number, count)).round().astype(int))
 
 
 def load_case(case: Case, seed: int, cache: InputCache, *, shrink: bool = False) -> tuple[Problem, float]:

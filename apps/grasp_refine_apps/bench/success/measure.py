@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -22,7 +22,6 @@ from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.refine import refine_group
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.results.document import settings
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.scene.hand_object import HandObject
@@ -34,11 +33,16 @@ from grasp_refine_apps.bench.success.cases import PERTURBED, UNAWARE, Case, load
 from grasp_refine_apps.bench.success.trials import AnyTrial, Found, Tried
 from grasp_refine_apps.bench.timing import one_thread, warmed_up
 
-MethodName = Literal["as-given", "own-stages", "geometry-only", "forces"]
+Preference = Literal["closest", "balanced", "strongest"]
+"""Methods that refine with forces, named like their `Config.prefer`."""
+
+PREFERENCES: tuple[Preference, ...] = get_args(Preference)
+
+MethodName = Literal["as-given", "own-stages", "geometry-only", Preference]
 """Names of the methods in rows."""
 
 LABELS = {"as-given": "as given", "own-stages": "own stages", "geometry-only": "geometry only"}
-"""Name of a method -> its label for people; of refinement with forces, the number of starts."""
+"""Name of a method -> its label for people; `PREFERENCES` have the number of starts in theirs."""
 
 COSTS = (
     *("cpu_s", "wall_s", "starts", "displacement_m", "contacts_moved_m", "links_kept"),
@@ -65,21 +69,28 @@ class Method:
     @property
     def label(self) -> str:
         """Label for people."""
-        return LABELS.get(self.name, count_text(self.starts or 0, "start"))
+        return LABELS.get(self.name) or f"{self.name}, {count_text(self.starts or 0, 'start')}"
+
+    @property
+    def key(self) -> str:
+        """Beginning of its entries in the file of a case, and its folder of refined grasps."""
+        return f"{self.name}-{self.starts}" if self.name in PREFERENCES else self.name
 
     def config(self, seed: int, width: int) -> Config | None:
         """Settings of the refinement; None where there is none."""
         if self.starts is None:
             return None
-        weights = Weights() if self.name == "forces" else replace(Weights(), wrench=0.0)
-        return Config(weights=weights, starts=self.starts, seed=seed, width=width)
+        config = Config(starts=self.starts, seed=seed, width=width)
+        if self.name == "geometry-only":
+            return replace(config, weights=replace(config.weights, wrench=0.0))
+        return replace(config, prefer=self.name)  # type: ignore[arg-type]  # one of `PREFERENCES`
 
 
 def methods_of(names: tuple[MethodName, ...], starts: tuple[int, ...]) -> tuple[Method, ...]:
-    """Return the methods of some names, "forces" once for each of the numbers of starts."""
+    """Return the methods of some names, each of `PREFERENCES` once for each of the numbers of starts."""
     found = []
     for name in dict.fromkeys(names):
-        counts = {"forces": starts, "geometry-only": (1,)}.get(name, (None,))
+        counts = starts if name in PREFERENCES else (1,) if name == "geometry-only" else (None,)
         found += [Method(name, count) for count in dict.fromkeys(counts)]
     return tuple(found)
 
@@ -141,16 +152,11 @@ class Measurement:
 
     def _measured(self, method: Method, case: Case, found: Found) -> Measured:
         columns = [column for trial in self.trials for column in trial.columns]
-        start = f"{_key(method)}/"
+        start = f"{method.key}/"
         own = {name.removeprefix(start): values for name, values in found.items() if name.startswith(start)}
         labels = {name: found[f"labels/{name}"] for name in (*GROUPINGS, "scale")}
         values = {name: values for name, values in own.items() if values.dtype.kind == "f" and values.ndim == 1}
         return Measured(method, case.name, labels, values, {name: own[name] for name in columns})
-
-
-def _key(method: Method) -> str:
-    """Beginning of the entries of a method."""
-    return method.name if method.name != "forces" else f"{method.name}-{method.starts}"
 
 
 def file_of(case: str, folder: str) -> Path:
@@ -256,7 +262,7 @@ class _Work:
 
     def measure(self, method: Method, progress: Progress) -> None:
         """Add the entries of a method that are missing."""
-        key = _key(method)
+        key = method.key
         if f"{key}/stage_q" not in self.found:
             self.found |= {f"{key}/{name}": values for name, values in self._refined(method).items()}
         for number, trial in enumerate(self.measurement.trials):
@@ -285,7 +291,7 @@ class _Work:
             parts.append({"grasp_T": scene.T_world_root, "grasp_q": scene.q, **stages, **costs, **measured})
         if self.measurement.out is not None and config is not None:
             refined = RefinedGrasps(problem, config, Outcome.join(outcomes))
-            path = self.measurement.out / file_of(self.case.name, _key(method))
+            path = self.measurement.out / file_of(self.case.name, method.key)
             path.parent.mkdir(parents=True, exist_ok=True)
             refined.save(path if len({group.object for group in problem.groups}) == 1 else path.parent, overwrite=True)
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -299,7 +305,7 @@ class _Work:
 
     def _tried(self, method: Method, trial: AnyTrial, progress: Progress) -> Found:
         """Try the grasps of a method."""
-        key, parts, problem = _key(method), [], self._problem
+        key, parts, problem = method.key, [], self._problem
         names = "grasp_T", "grasp_q", "stage_T", "stage_q"
         for group in problem.groups:
             T, q, stage_T, stage_q = (self.found[f"{key}/{name}"][group.place] for name in names)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.measures.measures import COMPARED
+from grasp_refine.refinement.config import Config
 from grasp_refine.validation.engine_agreement import EngineAgreement
 from grasp_refine_apps.bench.chart import Row, of_finite
 from grasp_refine_apps.bench.success.measure import GROUPINGS, Measured, Method
@@ -54,6 +55,7 @@ STATISTICS: Mapping[str, tuple[str, Statistic]] = {
     "contacts_moved_median_m": ("contacts_moved_m", _finite(np.median)),
     "links_kept_mean": ("links_kept", _finite(np.mean)),
     "moved_palm_median_m": ("moved_palm_m", _finite(np.median)),
+    "moved_palm_q90_m": ("moved_palm_m", _finite(quantile(0.9))),
     "moved_palm_median_rad": ("moved_palm_rad", _finite(np.median)),
     "moved_joints_median_rad": ("moved_joints_rad", _finite(np.median)),
     "penetration_mean_m": ("penetration_m", _worst(np.mean)),
@@ -67,6 +69,9 @@ STATISTICS: Mapping[str, tuple[str, Statistic]] = {
 }
 """Key of a row -> value of `Measured`, and its statistic over the grasps."""
 
+OF_GOOD = ("displacement_median_m", "displacement_q90_m", "moved_palm_median_m", "moved_palm_q90_m", "links_kept_mean")
+"""Keys of `STATISTICS` that rows also have, with the prefix "good_", over the inputs that were good enough already."""
+
 
 def key_of(name: str, column: str) -> str:
     """Key of a number of a trial; dots would separate the names of nested entries."""
@@ -78,7 +83,7 @@ def rows(done: Sequence[Sequence[Measured]], trials: Sequence[AnyTrial]) -> list
 
     First come the rows of all grasps, then of each label of the `GROUPINGS` with several labels, and of combinations of
     hand, source and object that vary; a row for each method. The first method of a case decides which grasps held
-    before.
+    before, and which were good enough already: they passed the first trial, with a quality of `Config.confidence`.
 
     Args:
         done: Results of each case, by method.
@@ -99,7 +104,7 @@ def rows(done: Sequence[Sequence[Measured]], trials: Sequence[AnyTrial]) -> list
                 masks = [np.array([not by or each == label for each in _labels(one, by)]) for one, _ in pairs]
                 if pairs and any(mask.any() for mask in masks):
                     about = {"by": " and ".join(by) or ALL, "label": " ".join(label) if by else ALL}
-                    found.append({**about, **_method(method), **_statistics(pairs, masks, columns)})
+                    found.append({**about, **_method(method), **_statistics(pairs, masks, trials)})
     return [*found, *_agreement(done, methods, trials), *_failures(done, columns)]
 
 
@@ -113,19 +118,27 @@ def _labels(one: Measured, by: Sequence[str]) -> list[tuple[str, ...]]:
     return [tuple(str(one.labels[name][i]) for name in by) for i in range(count)]
 
 
-def _statistics(pairs: Sequence[tuple[Measured, Measured]], masks: Sequence[np.ndarray], columns: Sequence[str]) -> Row:
-    """Numbers of some grasps; the first entry of each pair has the verdicts before."""
+def _statistics(
+    pairs: Sequence[tuple[Measured, Measured]], masks: Sequence[np.ndarray], trials: Sequence[AnyTrial]
+) -> Row:
+    """Numbers of some grasps; the first entry of each pair has the verdicts and the quality before."""
 
     def join(get: Callable[[Measured], np.ndarray], side: int = 1) -> np.ndarray:
         return np.concatenate([get(pair[side])[mask] for pair, mask in zip(pairs, masks, strict=True)])
 
     first = pairs[0][1]
-    row: Row = {"grasps": int(sum(mask.sum() for mask in masks))}
+    good = join(lambda one: one.values["quality"], 0) >= Config.confidence
+    for column in trials[0].columns:
+        good &= join(lambda one, c=column: one.verdict[c], 0) == HELD  # type: ignore[misc]  # bound now
+    row: Row = {"grasps": len(good), "good": int(good.sum())}
     for key, (name, statistic) in STATISTICS.items():
         if name in first.values:
-            row[key] = statistic(join(lambda one, name=name: one.values[name]))  # type: ignore[misc]  # bound now
+            values = join(lambda one, name=name: one.values[name])  # type: ignore[misc]  # bound now
+            row[key] = statistic(values)
+            if key in OF_GOOD:
+                row[f"good_{key}"] = statistic(values[good])
     quality = np.nan_to_num(join(lambda one: one.values["quality"]))
-    for column in columns:
+    for column in (column for trial in trials for column in trial.columns):
         before, after = (join(lambda one, c=column: one.verdict[c], side) for side in (0, 1))  # type: ignore[misc]
         held_before, held = before == HELD, after == HELD
         lost = int((held_before & ~held).sum())

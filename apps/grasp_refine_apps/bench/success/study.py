@@ -23,12 +23,20 @@ from grasp_refine_apps.batch.page import case_entry
 from grasp_refine_apps.batch.pictures import draw_cases
 from grasp_refine_apps.batch.work import cache_of
 from grasp_refine_apps.batch.worst import Case as Pictured
-from grasp_refine_apps.bench.chart import Axis, Chart, Row
+from grasp_refine_apps.bench.chart import Axis, Chart, Row, group_rows
 from grasp_refine_apps.bench.jobs import Job
 from grasp_refine_apps.bench.report import MISSING, SCALES, Column, Figures, Note, Only, Report, Table
 from grasp_refine_apps.bench.success.assets import SIZES
 from grasp_refine_apps.bench.success.cases import SAMPLED, Axes, load_case
-from grasp_refine_apps.bench.success.measure import Measured, Measurement, MethodName, file_of, methods_of
+from grasp_refine_apps.bench.success.measure import (
+    PREFERENCES,
+    Measured,
+    Measurement,
+    Method,
+    MethodName,
+    file_of,
+    methods_of,
+)
 from grasp_refine_apps.bench.success.rows import ALL, ENGINES, FAILURE, key_of, rows
 from grasp_refine_apps.bench.success.trials import AnyTrial, Trial, WholeTrajectory
 
@@ -56,10 +64,10 @@ class SuccessStudy:
 
     axes: Axes = field(default_factory=Axes)
     """Hands, objects, scenes and sources of grasps."""
-    methods: tuple[MethodName, ...] = ("as-given", "own-stages", "geometry-only", "forces")
+    methods: tuple[MethodName, ...] = ("as-given", "own-stages", "geometry-only", "closest")
     """Methods to compare; the first one is the reference."""
     starts: tuple[int, ...] = (1, 6)
-    """Numbers of starts of the refinement with forces."""
+    """Numbers of starts of each of `PREFERENCES`."""
     trials: tuple[AnyTrial, ...] = (Trial(PROTOCOLS["dexgraspbench"]), Trial(PROTOCOLS["strict"]))
     """Ways to try grasps."""
     perturb: bool = False
@@ -114,10 +122,11 @@ class SuccessStudy:
         every = [row for row in rows if row["by"] == ALL]
         count, methods = every[0]["grasps"], [row["refined"] for row in every]
         parts: list[Note | Chart | Table | Figures] = [Note(INTRO)]
-        if len(self.starts) > 1 and "forces" in self.methods:
+        if len(self.starts) > 1 and set(PREFERENCES) & set(self.methods):
             parts.append(_chart(rows, columns))
         title = f"{count} grasps; held, and lost of those that held before"
         parts.append(Table(title, [METHOD, *_brief(columns)], every, only="terminal"))
+        parts += _fronts(rows, columns)
         for heading, shown in (("Success", _verdicts(columns)), ("Costs", COSTS), ("Geometry of the grasps", GEOMETRY)):
             parts.append(Table(heading, [METHOD, *(c for c in shown if c.key in every[0])], every, only="page"))
         ways = [column for trial in self.trials if isinstance(trial, WholeTrajectory) for column in trial.columns]
@@ -163,10 +172,9 @@ class SuccessStudy:
 
 def _pictured(row: Row) -> Pictured:
     """Return a failure as a case of the pictures of a batch."""
-    method = row["method"] if row["method"] != "forces" else f"forces-{row['starts']}"
     return Pictured(
         shard=0,
-        file=file_of(row["case"], method),
+        file=file_of(row["case"], Method(row["method"], row["starts"]).key),
         row=row["row"],
         hand=row["hand"],
         object=row["object"],
@@ -189,7 +197,7 @@ def _chart(rows: Sequence[Row], columns: Sequence[str]) -> Chart:
     points = [
         {
             "panel": row["label"],
-            "line": column if row["cpu_mean_s"] is not None else f"{column}, {row['refined']}",
+            "line": f"{column}, {row['method'] if row['method'] in PREFERENCES else row['refined']}",
             "s": row["cpu_mean_s"],
             "success": row[key_of("success", column)],
         }
@@ -204,7 +212,7 @@ def _chart(rows: Sequence[Row], columns: Sequence[str]) -> Chart:
         (Axis("success", "grasps that hold", "%", log=False),),
         lambda row: row["line"],
         lambda row: row["panel"],
-        note="From left to right: geometry only, then the numbers of starts. Dashed: grasps that are not refined.",
+        note="From left to right: the numbers of starts. Dashed: grasps that are not refined.",
     )
 
 
@@ -272,15 +280,16 @@ def _reasons(rows: Sequence[Row], columns: Sequence[str]) -> Table:
 
 
 METHOD = Column("refined", "refined")
+HEADS = {"dexgraspbench": "dex\u00adgrasp\u00adbench", "tabletop": "table\u00adtop"}
+"""Name of a verdict -> its heading in a terminal."""
 
 
 def _brief(columns: Sequence[str]) -> list[Column]:
     """Columns for a terminal."""
-    heads = {"dexgraspbench": "dex\u00adgrasp\u00adbench", "tabletop": "table\u00adtop"}
     first = columns[0]
     return [
-        *(Column(key_of("success", name), f"held, {heads.get(name, name)}", "%", ".1f") for name in columns),
-        Column(key_of("lost", first), f"lost, {heads.get(first, first)}", "%", ".1f"),
+        *(Column(key_of("success", name), f"held, {HEADS.get(name, name)}", "%", ".1f") for name in columns),
+        Column(key_of("lost", first), f"lost, {HEADS.get(first, first)}", "%", ".1f"),
         Column("cpu_mean_s", "CPU mean", "s", ".3f"),
         Column("penetration_mean_m", "pen. mean", "mm", ".3f"),
         Column("self_penetration_max_m", "self max", "mm", ".2f"),
@@ -290,6 +299,23 @@ def _brief(columns: Sequence[str]) -> list[Column]:
         Column("moved_palm_median_rad", "", "°", ".1f"),
         Column(key_of("auc", first), "AUC", form=".2f"),
     ]
+
+
+def _fronts(rows: Sequence[Row], columns: Sequence[str]) -> Iterator[Table]:
+    """Yield the tables of holding against displacement, of all grasps and of each source."""
+    held = [
+        column
+        for name in columns
+        for column in (
+            Column(key_of("success", name), HEADS.get(name, name), "%", ".1f", "higher", "grasps that hold"),
+            Column(key_of("num_lost", name), "lost", "", "d", "lower", "number of input grasps that held"),
+        )
+    ]
+    for (_, label), lines in group_rows(rows, ("by", "label")).items():
+        if lines[0]["by"] in (ALL, "source"):
+            title = f"Front, {label}: {lines[0]['grasps']} grasps, {lines[0]['good']} good enough already"
+            heads = [METHOD, *held, *(column for column in FRONT if column.key in lines[0])]
+            yield Table(title, heads, lines, FRONT_NOTE)
 
 
 def _verdicts(columns: Sequence[str]) -> list[Column]:
@@ -310,13 +336,32 @@ COSTS = (
     Column("wall_mean_s", "wall", "s", ".3f", "lower", "of refining a grasp, mean"),
     Column("wall_median_s", "median", "s", ".3f", "lower", "wall time of refining a grasp, median"),
     Column("starts_mean", "starts", "", ".2f", hint="number of starts of a grasp, mean"),
-    Column("displacement_median_m", "displaced", "mm", ".1f", "lower", "displacement of the hand, median"),
-    Column("displacement_q90_m", "p90", "mm", ".1f", "lower", "displacement of 9 of 10 is smaller"),
-    Column("contacts_moved_median_m", "contacts moved", "mm", ".1f", "lower", "contacts of kept links, median"),
-    Column("links_kept_mean", "links kept", "%", ".1f", "higher", "of the contact links of the input grasp, mean"),
     Column("moved_palm_median_m", "palm moved", "mm", ".1f", hint="median"),
     Column("moved_palm_median_rad", "rotated", "°", ".1f", hint="the palm, median"),
     Column("moved_joints_median_rad", "joints", "°", ".1f", hint="the joint that moved most, median"),
+)
+
+
+def _moved(key: str, head: str, what: str, only: Only | None = None) -> tuple[Column, Column]:
+    """Columns of the median and the 90th percentile of a movement."""
+    return (
+        Column(f"{key}_median_m", head, "mm", ".1f", "lower", f"{what}, median", only),
+        Column(f"{key}_q90_m", "90 %", "mm", ".1f", "lower", f"{what}, 9 of 10 are smaller", only),
+    )
+
+
+FRONT_NOTE = (
+    "Holding against displacement. Good inputs were good enough already: they passed the first trial, with a quality "
+    f"of at least {Config.confidence:g}."
+)
+FRONT = (
+    *_moved("displacement", "dis\u00adplace\u00adment", "of the hand's surface"),
+    *_moved("moved_palm", "palm", "of the palm", "page"),
+    *_moved("good_displacement", "good inputs", "of the hand's surface, good inputs alone", "page"),
+    *_moved("good_moved_palm", "good, palm", "of the palm, good inputs alone"),
+    Column("contacts_moved_median_m", "contacts", "mm", ".1f", "lower", "movement on the object, median", "page"),
+    Column("links_kept_mean", "links kept", "%", ".0f", "higher", "contact links that stay contact links, mean"),
+    Column("cpu_mean_s", "CPU", "s", ".3f", "lower", "of refining a grasp, mean"),
 )
 GEOMETRY = (
     Column("penetration_mean_m", "penetration", "mm", ".2f", "lower", "deepest penetration of any link, mean"),
@@ -373,7 +418,7 @@ PRESETS: Mapping[str, SuccessStudy] = MappingProxyType(
         "smoke": SuccessStudy(Axes(count=2), starts=(1, 2)),
         "grippers": SuccessStudy(
             replace(_SAMPLED, hands=("franka_hand",), count=4),
-            methods=("as-given", "forces"),
+            methods=("as-given", "closest"),
             starts=(Config.starts,),
             trials=GRIPPER_TRIALS,
             perturb=True,
@@ -381,13 +426,13 @@ PRESETS: Mapping[str, SuccessStudy] = MappingProxyType(
         ),
         "scenes": SuccessStudy(
             replace(_SAMPLED, spec=ProblemSpec(arm="ur5e"), hands=("allegro", "shadow"), count=32, unaware=True),
-            methods=("as-given", "forces"),
+            methods=("as-given", "closest"),
             starts=(Config.starts,),
             trials=(WholeTrajectory(),),
         ),
         "assets": SuccessStudy(
             Axes(assets=Path("assets")),
-            methods=("as-given", "geometry-only", "forces"),
+            methods=("as-given", "geometry-only", "closest"),
             starts=(Config.starts,),
             trials=tuple(map(Trial, PROTOCOLS.values())),
         ),

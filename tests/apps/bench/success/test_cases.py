@@ -38,6 +38,18 @@ def test_each_hand_has_sampled_grasps_on_each_object_and_generators_have_their_o
     assert all(case.spec.scale == OBJECTS[case.object.name] for case in cases if case.object)
 
 
+def test_a_number_of_grasps_is_taken_evenly_from_the_whole_file(assets: Path):
+    file = assets / "grasps/normalised/made.npz"
+    with np.load(file) as entries:
+        changed = {**entries, "object": np.array(["ball", "ball", "my_rounded_box", "my_rounded_box"])}
+    np.savez(file, **changed)
+    for number, indices in ((2, [(0,), (1,)]), (3, [(0,), (0, 1)]), (9, [(0, 1), (0, 1)]), (1, [(0,)])):
+        found = Axes(assets=assets, hands=("allegro",), generators=(f"made:{number}",), generated=1).cases()
+        assert [case.spec.index for case in found] == indices
+    with refused(GraspRefineError, "made:none"):
+        Axes(assets=assets, generators=("made:none",)).cases()
+
+
 def test_a_perturbation_moves_the_middle_of_the_pads_by_5_mm_and_turns_by_10_degrees():
     case = Case(ProblemSpec(hand="franka_hand", object="box:0.02,0.02,0.1", grasps=Path("sample:4")))
     problem, factor = load_case(case, 0, NoCache())

@@ -20,7 +20,7 @@ from plate_gripper import URDF
 RADIUS, OPEN = 0.03, 0.085
 """Of the ball, and between the middle of the gripper and a plate when it is open, metres."""
 
-ALL = methods_of(("as-given", "own-stages", "geometry-only", "forces"), (1,))
+ALL = methods_of(("as-given", "own-stages", "geometry-only", "closest", "strongest"), (1,))
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,8 @@ def results(case: Case) -> list[Measured]:
     shares: list[float] = []
     found = Measurement(ALL, (Trial(DEXGRASPBENCH),), width=4, threads=1).run(case, shares.append)
     assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)
-    assert [one.method.label for one in found] == ["as given", "own stages", "geometry only", "1 start"]
+    labels = ["as given", "own stages", "geometry only", "closest, 1 start", "strongest, 1 start"]
+    assert [one.method.label for one in found] == labels
     return found
 
 
@@ -62,8 +63,15 @@ def test_only_refinement_costs_and_moves(results: list[Measured]):
     for one in results[2:]:
         assert all((one.values[name] > 0).all() for name in ("cpu_s", "wall_s", "starts"))
         assert one.values["contact_error_m"][0] < 1e-4
+        assert 0.001 < one.values["displacement_m"][0] and one.values["links_kept"][0] == 1.0
         assert one.verdict["dexgraspbench"][0] == HELD
         assert one.labels["hand"].tolist() == ["gripper"] * 2 and one.labels["source"].tolist() == ["mine"] * 2
+
+
+def test_methods_refine_with_their_own_preference_or_without_forces():
+    given, _, geometry, *preferred = (method.config(seed=0, width=4) for method in ALL)
+    assert given is None and geometry is not None and not geometry.holds
+    assert [(one.prefer, one.holds) for one in preferred if one] == [("closest", True), ("strongest", True)]
 
 
 def test_a_second_run_does_only_what_is_missing(case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -72,7 +80,7 @@ def test_a_second_run_does_only_what_is_missing(case: Case, tmp_path: Path, monk
 
     first = Measurement(ALL[2:], (Trial(DEXGRASPBENCH),), width=4, threads=1, out=tmp_path)
     before = first.run(case, lambda share: None)
-    assert len(list(tmp_path.rglob("*.npz"))) == 3, "two refinements, and what was measured"
+    assert len(list(tmp_path.rglob("*.npz"))) == 4, "three refinements, and what was measured"
     refine, refined = measure.refine_group, []
 
     def counted(*given: object, **more: object) -> object:
