@@ -63,8 +63,8 @@ def changes(
     """Return the `Change` (N,) of grasps, as text.
 
     Args:
-        before: Links (N, L) that touch before refinement.
-        after: Links (N, L) that touch after it.
+        before: Contact links (N, L) of the input grasps.
+        after: Links (N, L) that touch after refinement.
         moved_m: Distances (N,) of `contacts_moved`.
     """
     both, either = (before & after).sum(axis=1), (before | after).sum(axis=1)

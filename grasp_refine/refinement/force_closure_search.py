@@ -102,7 +102,8 @@ def most_iterations(config: Config, *, aimed: bool = False) -> int:
     each = sum(min(phase.iterations, most) for phase in PHASES)
     held_back = 0 if config.prefer == "strongest" else len(STAYS) - 1
     closing = (2 if config.prefer == "closest" else 1) * min(CLOSE.iterations, most)
-    return (most if aimed else 0) + closing + (config.starts + held_back) * each
+    from_targets = most + closing + (1 + held_back) * each if aimed else 0
+    return from_targets + closing + (config.starts + held_back) * each
 
 
 def search(
@@ -124,22 +125,23 @@ def search(
         status: Grasps (N,) with another status than RUNNING are left out.
         progress: As for `minimise`.
         on_iteration: Called after each iteration of all attempts.
-        reached: Grasps (N,) whose links are at their targets; attempts begin there. None: there are no targets.
+        reached: Grasps (N,) whose links are at their targets: attempts begin there, too. None: there are no targets.
     """
     search = Search(scene, prepared, config, status, progress, on_iteration, reached)
     rows = np.flatnonzero(status == Status.RUNNING)
     if search.by_quality:
-        search.good_inputs[rows] = search.judge(rows, search.initial(rows))[2] >= config.confidence
-    for phase in (KEEP, CLOSE):
-        some = rows[search.good_inputs[rows]] if phase is KEEP else search.unsatisfied(rows)
-        closed = search.attempt(some, take(search.start, some), (phase,))
-        search.touching[some] = closed.goal.touching
-        search.take(some, closed)
-    for stay in STAYS if search.nearest else (0.0,):
-        rows = search.unsatisfied(rows)
-        phases = tuple(replace(phase, stay=stay if phase.balance else 0.0) for phase in PHASES)
-        search.take(rows, search.attempt(rows, take(search.start, rows), phases))
-    search.starts[status == Status.RUNNING] = 1
+        search.good_inputs[rows] = search.judge(rows, take(search.inputs, rows))[2] >= config.confidence
+    for start in (search.inputs,) if reached is None else (search.inputs, reached.point):
+        for phase in (KEEP, CLOSE):
+            some = rows[search.good_inputs[rows]] if phase is KEEP else search.unsatisfied(rows)
+            closed = search.attempt(some, take(start, some), (phase,))
+            search.touching[some] = closed.goal.touching
+            search.take(some, closed)
+        for stay in STAYS if search.nearest else (0.0,):
+            some = search.unsatisfied(rows)
+            phases = tuple(replace(phase, stay=stay if phase.balance else 0.0) for phase in PHASES)
+            search.take(some, search.attempt(some, take(start, some), phases))
+    search.starts[rows] = 1
     if search.by_quality:
         rows = rows[search.best.quality[rows] < config.confidence]
     while len(rows := search.unsatisfied(rows[search.starts[rows] < config.starts])):
@@ -188,8 +190,15 @@ class Search:
         if reached is not None:
             self.iterations, self.queries = reached.iterations.copy(), reached.queries.copy()
             self.cpu, self.wall = reached.cpu_s.copy(), reached.wall_s.copy()
-        self.start = Point(scene.T_world_root, self.q) if reached is None else reached.point
-        """Grasps from which attempts begin."""
+        self.inputs = Point(scene.T_world_root, self.q)
+        """Input grasps, within the joint limits."""
+        self.aims = self.inputs if reached is None else reached.point
+        """Grasps about which further starts lie."""
+        self.others = np.zeros((N, L), dtype=bool)
+        """Links (N, L) that touch in input grasps with targets, wherever these take the hand."""
+        if reached is not None:
+            plain = replace(scene, target_link=None, target_object=None)
+            self.others = goal_of(plain, config.contact_selection, prepared).touching
         point = Point(scene.T_world_root.copy(), self.q.copy())
         minimum = Minimum(
             point, np.full((N, 2), np.nan), status.copy(), self.iterations, self.queries, self.cpu, self.wall
@@ -205,16 +214,12 @@ class Search:
         self.by_quality = config.prefer == "closest" and not scene.hand.has_two_fingers
         """Whether quality decides which attempt is good enough; False: the score."""
 
-    def initial(self, rows: np.ndarray) -> Point:
-        """Return the input grasps."""
-        return Point(self.scene.T_world_root[rows], self.q[rows])
-
     def perturb(self, member: np.ndarray, number: np.ndarray) -> Point:
         """Return starts near the grasps: turned about the mean of their contact links, shifted, joints perturbed."""
         noise, variables = self.free.sample_noise(member, number), self.free.variables
         if self.nearest:
             noise = noise * np.minimum(number / FULL_START, 1.0)[:, None]
-        initial = take(self.start, member)
+        initial = take(self.aims, member)
         T = self.prepared.chain(initial.T, initial.q).T_world_link
         touching = self.touching[member][..., None]
         middle = np.where(touching, T[..., :3, 3], 0.0).sum(axis=1) / np.maximum(touching.sum(axis=1), 1)
@@ -259,7 +264,7 @@ class Search:
             self.good_inputs[rows] & (phases in ((KEEP,), (CLOSE,))), 1.0, MOVED_SHARE
         )
         enough = value >= 1.0 - allowed if self.by_quality else score <= self.good
-        first = self.initial(rows)
+        first = take(self.inputs, rows)
         displacement = self.displacement.between(first.T, first.q, point.T, point.q)
         return Attempt(found, goal, score, pinches, value, enough, displacement)
 
@@ -285,6 +290,7 @@ class Search:
         wall, cpu = time.perf_counter(), time.process_time()
         now = replace(scene, T_world_root=start.T, q=start.q)
         goal = goal_of(now, phase.touching(config.contact_selection), prepared, others=True)
+        goal = replace(goal, touching=goal.touching | self.others[rows])
         problem = GraspProblem(scene, goal, replace(config, weights=phase.weights(config.weights)), prepared)
         problem.restarts = False  # an attempt ends near its start
         solver = limited(config.solver, iterations=phase.iterations, last_patience=phase.patience)
@@ -328,7 +334,7 @@ class Search:
         loss = np.full((len(self.starts), 2), np.nan)
         config = replace(self.config, weights=PHASES[-1].weights(self.config.weights))
         problem = GraspProblem(self._scene(rows), take(goal, rows), config, self.prepared).in_points()
-        for column, point in enumerate((self.initial(rows), take(found.point, rows))):
+        for column, point in enumerate((take(self.inputs, rows), take(found.point, rows))):
             loss[rows, column] = problem.evaluate(np.arange(len(rows)), point, None).loss
         minimum = replace(
             found, loss=loss, iterations=self.iterations, queries=self.queries, cpu_s=self.cpu, wall_s=self.wall

@@ -20,6 +20,7 @@ from grasp_refine.measures.formulas import COSTLY_M, MeasuredGrasps, MeasuredRef
 from grasp_refine.measures.geometry import Geometry, contact_errors, measure, movement
 from grasp_refine.measures.measures import MEASURES, RECORDED
 from grasp_refine.refinement.gap_closing import RELEASE_GAP_M
+from grasp_refine.refinement.phases import KEEP
 from grasp_refine.refinement.refine import Refinement
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
 from grasp_refine.results.weakness import weaknesses
@@ -187,7 +188,10 @@ def compare(
     errors = contact_errors(geometry.distance, geometry.witness, geometry.T_world_link, gaps, *targets)
     geometry = replace(geometry, contact_error=errors)
     grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry, scene.environment, scene.regions)
-    touching = ~np.isnan(gaps[:count]), refinement.touching
+    # Links that are part of the input grasp, whatever should touch besides.
+    plain, near = replace(before, target_link=None, target_object=None), KEEP.touching(selection or ContactSelection())
+    own = ~np.isnan(contact_gaps(plain, geometry.witness.rows(slice(count)), near))
+    touching = own, refinement.touching
     moved = _measured(before, refinement, T_after, q_after, geometry, touching)
     measures = {}
     for each in RECORDED:

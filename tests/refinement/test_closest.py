@@ -44,11 +44,11 @@ def test_an_input_that_is_good_enough_has_its_contacts_closed_and_nothing_else(
     """The bar is the quality of the closed grasps themselves: half of them reach it."""
     every = np.arange(6)
     some = search_of(scene, prepared, CONFIG)
-    closed = some.attempt(every, some.initial(every), (KEEP,))
+    closed = some.attempt(every, some.inputs, (KEEP,))
     selection = replace(CONFIG.contact_selection, reach=0.005, other_link_distance=0.002)
     near, all_near = (goal_of(scene, each, prepared).touching for each in (selection, CONFIG.contact_selection))
     assert not (closed.goal.touching & ~near).any() and near.sum() < all_near.sum()
-    good = np.minimum(closed.quality, some.judge(every, some.initial(every))[2])
+    good = np.minimum(closed.quality, some.judge(every, some.inputs)[2])
     bar = float(np.median(good))
     found = search(scene, prepared, replace(CONFIG, confidence=bar), RUNNING.copy())
     kept = good >= bar
@@ -74,11 +74,11 @@ def test_of_attempts_that_are_good_enough_the_nearest_counts(scene: Scene, prepa
 def test_grasps_that_are_moved_keep_a_reserve(scene: Scene, prepared: HandObject) -> None:
     """After more than closing, a fifth of the allowed probability of failing is good enough."""
     some, every = search_of(scene, prepared, CONFIG), np.arange(6)
-    moved = some.attempt(every, some.initial(every), (replace(CLOSE, iterations=0), CLOSE))
+    moved = some.attempt(every, some.inputs, (replace(CLOSE, iterations=0), CLOSE))
     between = float(np.median(moved.quality[moved.quality < 1.0]))
     for confidence in (between, 1e-9):
         again = search_of(scene, prepared, replace(CONFIG, confidence=confidence))
-        found = again.attempt(every, again.initial(every), (replace(CLOSE, iterations=0), CLOSE))
+        found = again.attempt(every, again.inputs, (replace(CLOSE, iterations=0), CLOSE))
         np.testing.assert_array_equal(found.enough, moved.quality >= 1.0 - MOVED_SHARE * (1.0 - confidence))
 
 

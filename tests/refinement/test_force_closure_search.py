@@ -10,6 +10,7 @@ import pytest
 from adaptive_gripper import write_adaptive_gripper
 from claw import around, capsule, claw
 from grasp_refine.collision.query import query
+from grasp_refine.core.array_records import take
 from grasp_refine.core.profiling import Stopwatch
 from grasp_refine.core.se3 import exp_so3, transform_points
 from grasp_refine.forces.equilibrium import mode_residual
@@ -208,7 +209,7 @@ def test_depths_elsewhere_and_contacts_outside_of_regions_cost_their_share(
     scores = []
     for asked in (Task(), task):
         search = search_of(replace(one, task=asked), prepared, STILL)
-        scores.append(float(search.attempt(first, search.initial(first), (CLOSE,)).score[0]))
+        scores.append(float(search.attempt(first, take(search.inputs, first), (CLOSE,)).score[0]))
     assert scores[1] - scores[0] == pytest.approx(cost, rel=1e-4)
 
 
@@ -224,7 +225,7 @@ def test_links_in_each_other_cost_their_depth(scene: Scene, prepared: HandObject
     row = int(np.where(np.isfinite(plain), inside, 0.0).argmax())
     assert inside[row] > 1e-3
     search = search_of(replace(scene, T_world_root=T[[row]], q=q[[row]]), prepared, STILL)
-    found = search.attempt(np.array([0]), search.initial(np.array([0])), (CLOSE,)).score[0]
+    found = search.attempt(np.array([0]), take(search.inputs, np.array([0])), (CLOSE,)).score[0]
     assert found - plain[row] == pytest.approx(inside[row] / DEEP, rel=1e-6)
 
 
@@ -450,7 +451,7 @@ def test_target_normals_are_sought_too(scene: Scene, prepared: HandObject) -> No
     mixed, order = wanted.copy(), np.array([3, 1])
     mixed[3, column] = [1.0, 0.0, 0.0]
     search = search_of(replace(scene, direction=mixed), prepared, STILL)
-    tried = search.attempt(order, search.initial(order), (CLOSE,))
+    tried = search.attempt(order, take(search.inputs, order), (CLOSE,))
     np.testing.assert_array_equal(tried.goal.direction, mixed[order])
     along = []
     for one in (plain, found):
