@@ -133,7 +133,7 @@ def search(
         search.good_inputs[rows] = search.judge(rows, take(search.inputs, rows))[2] >= config.confidence
     for start in (search.inputs,) if reached is None else (search.inputs, reached.point):
         for phase in (KEEP, CLOSE):
-            some = rows[search.good_inputs[rows]] if phase is KEEP else search.unsatisfied(rows)
+            some = rows[search.good_inputs[rows]] if phase is KEEP else rows
             closed = search.attempt(some, take(start, some), (phase,))
             search.touching[some] = closed.goal.touching
             search.take(some, closed)
