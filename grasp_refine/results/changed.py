@@ -30,14 +30,21 @@ class Changed:
     moved: int
     """Number of these with a displacement above `MOVED_M`."""
     median_m: float
-    """Median of the displacements of these, metres; NaN: there are none."""
+    """Median of the displacements of good inputs, metres; NaN: there are none."""
+    error_m: float = nan
+    """Median contact error before refinement of the good inputs that moved, metres: why they moved. NaN: not known."""
 
     @staticmethod
     def of(outcome: Outcome, confidence: float) -> Changed:
         """Return the counts of an outcome."""
-        moved = outcome["displacement_m"][good_inputs(outcome.change != "", outcome.quality[:, 0], confidence)]
-        median = float(np.median(moved)) if len(moved) else nan
-        return Changed(Counter(outcome.change.tolist()), confidence, len(moved), int((moved > MOVED_M).sum()), median)
+        good = good_inputs(outcome.change != "", outcome.quality[:, 0], confidence)
+        moved = good & (outcome["displacement_m"] > MOVED_M)
+        median, error = (
+            float(np.nanmedian(values)) if np.isfinite(values).any() else nan
+            for values in (outcome["displacement_m"][good], outcome["contact_error_m"][moved, 0])
+        )
+        counts = Counter(outcome.change.tolist())
+        return Changed(counts, confidence, int(good.sum()), int(moved.sum()), median, error)
 
     def lines(self) -> list[Text]:
         """Return the counts in words; no line on what there is none of."""
@@ -50,6 +57,7 @@ class Changed:
                     f"{count_text(self.good, 'input grasp')} of quality {self.confidence:g} or more: ",
                     (f"{whole(self.moved)} moved by over {1e3 * MOVED_M:g} mm", color),
                     f" (median {1e3 * self.median_m:.1f} mm)",
+                    f", whose contacts were off by {1e3 * self.error_m:.1f} mm" if self.error_m > 0.0 else "",
                 )
             )
         return found

@@ -180,9 +180,11 @@ def test_good_inputs_that_moved_are_counted():
     outcome = replace(with_measures(outcome, quality=quality, displacement_m=displacement), change=change)
     changed = Changed.of(outcome, Config(confidence=0.95).confidence)
     assert (changed.good, changed.moved, changed.median_m) == (4, 2, pytest.approx(5.2e-3))
-    lines = text(outcome)
+    lines = text(outcome, width=120)
     at = lines.index("change: 3 kept, 1 contacts moved, 1 other links, 1 other grasp")
     assert_names(lines[at + 1], "4 input grasps", "0.95", "2 moved by over 5 mm", "median 5.2 mm")
+    off = outcome["contact_error_m"][3:5, 0]
+    assert changed.error_m == pytest.approx(np.median(off)) and f"{1e3 * np.median(off):.1f} mm" in lines[at + 1]
     assert_names(text(outcome, Config(confidence=0.97))[at + 1], "2 input grasps", "0.97", "2 moved")
     assert Changed.of(outcome, 0.999).good == 1
     assert [line for line in text(error_in_millimetres(2)) if "input grasp" in line] == []
