@@ -38,7 +38,7 @@ def refined(gripper: gr.Hand) -> gr.RefinedGrasps:
 
 def test_what_is_saved_is_what_is_reported(refined: gr.RefinedGrasps, workplace: Path):
     refined.save("refined.npz")
-    assert "gripper on box" in str(refined) and "3 of 3 grasps converged" in str(refined)
+    assert "gripper on box" in str(refined) and "3 of 3 grasps touch" in str(refined)
     saved = gr.load_grasps("refined.npz")
     np.testing.assert_array_equal(saved.labels["confidence"], [0.5, np.nan, 1.0])
     # Reading divides quaternions by their length, which is 1 up to rounding.

@@ -134,9 +134,12 @@ def outcome_text(outcome: Outcome) -> str:
     head = f"**{status.label.capitalize()}** after {count_text(count, 'iteration')}{tries}, {seconds:.1f} s"
     if outcome.usable[0]:
         moved = (f"{one.title} {measure_text(one, outcome[one.name][0])} mm" for one in (DISPLACEMENT, CONTACTS_MOVED))
-        head += f"\n\nChange: **{outcome.change[0]}** ({', '.join(moved)})"
-        verdict = "should hold" if should_hold(outcome.quality[:, 1])[0] else "may slip"
-        head += f"\n\nBy its quality, an estimate, it **{verdict}** (from {HOLDS:.3f} on); **Validate** simulates"
+        verdict = "Should hold" if should_hold(outcome.quality[:, 1])[0] else "May slip"
+        gap = f", with a gap of {outcome.gap[0]}" if outcome.gap[0] else ""
+        head = (
+            f"**{verdict}**{gap}: by its quality, an estimate (from {HOLDS:.3f} on); **Validate** simulates\n\n"
+            f"Change: **{outcome.change[0]}** ({', '.join(moved)})\n\n{head}"
+        )
     advice = f"\n\n{plain(status.advice)}" if status.advice else ""
     return f"{head}{advice}\n\n| | before | after |\n|:---|---:|---:|\n{table}"
 

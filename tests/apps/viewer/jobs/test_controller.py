@@ -76,7 +76,7 @@ def test_a_refinement_ends_where_the_command_line_ends(viewer: Controller) -> No
 
 
 def test_of_several_starts_the_timeline_shows_the_one_that_led_to_the_result(viewer: Controller, never_good) -> None:
-    viewer.set(settings=Settings(starts=4))
+    viewer.set(settings=Settings(starts=4, prefer="strongest"))
     start = viewer.state.pose
     viewer.refinement.start()
     settled(viewer)
@@ -165,6 +165,7 @@ def test_a_finger_that_is_moved_away_still_counts(viewer: Controller) -> None:
 
 
 def test_with_targets_before_and_the_first_iteration_are_the_same(viewer: Controller) -> None:
+    viewer.set(settings=Settings(geometry_only=True))
     viewer.targets.set_nearest()
     settled(viewer)
     start = viewer.contacts(viewer.state).contact_error

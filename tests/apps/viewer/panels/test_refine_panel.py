@@ -10,6 +10,7 @@ import pytest
 from grasp_refine.measures.measures import COMPARED
 from grasp_refine.problem.problem import Problem
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.model.trace import Trace
@@ -189,8 +190,10 @@ def test_the_outcome_is_reported_with_advice(shown: Shown):
     made.set(settings=Settings(iterations=3, geometry_only=True))
     made.refinement.start()
     outcome = until(lambda: made.state.outcome)
-    head, *_, table = outcome_text(outcome).split("\n\n")
+    verdict, _, head, *_, table = outcome_text(outcome).split("\n\n")
     status = Status(outcome.status[0])
+    good = outcome.quality[0, 1] >= HOLDS
+    assert_names(verdict, "**Should hold**" if good else "**May slip**", f"{HOLDS:.3f}")
     assert_names(head, f"**{status.label.capitalize()}**", f"{outcome['iterations'][0]} iterations")
     assert plain(status.advice) in outcome_text(outcome)
     assert f"**{outcome.change[0]}** (displacement {1e3 * outcome['displacement_m'][0]:.2f} mm" in outcome_text(outcome)
