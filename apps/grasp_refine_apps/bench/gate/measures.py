@@ -144,12 +144,12 @@ def grasps(progress: Callable[[float], None]) -> dict[str, float]:
 
 
 def forces(progress: Callable[[float], None]) -> dict[str, float]:
-    """Measure costs and results of refining disturbed grasps until they hold."""
+    """Measure costs and results of refining disturbed grasps until they hold, with the default settings."""
     tasks = _tasks().take(slice(NUM_FORCED))
     scene = replace(tasks.scene, target_link=None, target_object=None)
     prepared, found = HandObject.of(scene), {}
     progress(0.2)
-    configs = {"holding": Config(starts=1), "geometry": Variant(batch=NUM_FORCED).config(SEED, Config.tolerance)}
+    configs = {"holding": Config(), "geometry": Variant(batch=NUM_FORCED).config(SEED, Config.tolerance)}
 
     def run(name: str) -> None:
         found[name] = refine(scene, configs[name], prepared=prepared)
