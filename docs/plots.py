@@ -65,8 +65,7 @@ def front(rows: list[dict[str, Any]], axes: Any) -> None:
                 [median], [100 * row[f"success_{protocol}"]], xerr=[[0.0], [most - median]], fmt="osD^v"[number % 5],
                 ms=6, elinewidth=1.0, capsize=3, label=name, zorder=3 - 0.1 * number,
             )  # fmt: skip
-        axis.set(xlabel="displacement, mm", ylabel="grasps that hold, %", title=title, xlim=(-2, None))
-    axes[0].sharey(axes[1])
+        axis.set(xlabel="displacement, mm", ylabel="grasps that hold, %", title=title, xlim=(-2, None), ylim=(35, 101))
     axes[1].legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
