@@ -17,7 +17,6 @@ import numpy as np
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.se3 import exp_so3, matvec
 from grasp_refine.forces.quality import DEEP
-from grasp_refine.hands.displacement import Displacement
 from grasp_refine.measures.formulas import room_share
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
@@ -132,8 +131,9 @@ def search(
     if search.by_quality:
         search.good_inputs[rows] = search.judge(rows, take(search.inputs, rows))[2] >= config.confidence
     for start in (search.inputs,) if reached is None else (search.inputs, reached.point):
+        tried = search.unsatisfied(rows)
         for phase in (KEEP, CLOSE):
-            some = rows[search.good_inputs[rows]] if phase is KEEP else rows
+            some = tried[search.good_inputs[tried]] if phase is KEEP else tried
             closed = search.attempt(some, take(start, some), (phase,))
             search.touching[some] = closed.goal.touching
             search.take(some, closed)
@@ -206,7 +206,6 @@ class Search:
         goal = replace(Goal.nothing(N, L), direction=scene.direction)
         no, none = np.zeros(N, dtype=bool), np.zeros(N)
         self.best = Attempt(minimum, goal, np.full(N, np.inf), no, none, no, np.full(N, np.inf))
-        self.displacement = Displacement.of(scene.hand)
         self.good_inputs = np.zeros(N, dtype=bool)
         """True where the input grasp (N,) is good enough as it is."""
         self.nearest = config.prefer != "strongest"
@@ -265,7 +264,7 @@ class Search:
         )
         enough = value >= 1.0 - allowed if self.by_quality else score <= self.good
         first = take(self.inputs, rows)
-        displacement = self.displacement.between(first.T, first.q, point.T, point.q)
+        displacement = self.prepared.displacement.between(first.T, first.q, point.T, point.q)
         return Attempt(found, goal, score, pinches, value, enough, displacement)
 
     def judge(self, rows: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ from grasp_refine.collision.query import Pairs
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import hull, sphere
 from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.displacement import Displacement
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.objects.object import Object
@@ -58,6 +59,11 @@ class HandObject:
     def chain(self) -> Chain:
         """Kinematics of these links."""
         return Chain(self.hand, links_of(self.hand))
+
+    @cached_property
+    def displacement(self) -> Displacement:
+        """Displacement of the hand between two configurations."""
+        return Displacement.of(self.hand)
 
     @cached_property
     def pairs(self) -> Pairs:
