@@ -14,7 +14,7 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, match_joints
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.measures.change import Change
-from grasp_refine.measures.measures import RECORDED
+from grasp_refine.measures.measures import COUNT, RECORDED
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
@@ -108,7 +108,11 @@ def plain_outcome(
     pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)) if pose is None else pose
     q = np.zeros((count, 2)) if q is None else q
     values = {
-        one.name: np.array(np.broadcast_to(measures.pop(one.name, 0), (count, 2) if one.compared else (count,)))
+        one.name: np.array(
+            np.broadcast_to(
+                measures.pop(one.name, 0 if one.unit is COUNT else 0.0), (count, 2) if one.compared else (count,)
+            )
+        )
         for one in RECORDED
     }
     assert not measures

@@ -52,9 +52,9 @@ def refined_to(
 ) -> Outcome:
     """The outcome of a refinement that ended with these poses, and these tips touching."""
     N, L = len(q), len(scene.links)
-    touching, zero = np.tile(np.isin(scene.links, tips), (N, 1)), np.zeros(N, dtype=int)
+    touching, count, time = np.tile(np.isin(scene.links, tips), (N, 1)), np.zeros(N, dtype=int), np.zeros(N)
     nowhere, ended = np.full((N, L, 3), np.nan), np.full(N, status)
-    refinement = Refinement(T, q, touching, nowhere, nowhere, ended, np.zeros((N, 2)), *[zero] * 5)
+    refinement = Refinement(T, q, touching, nowhere, nowhere, ended, np.zeros((N, 2)), count, count, time, time, count)
     motion = Motion(np.repeat(T[:, None], 3, axis=1), np.repeat(q[:, None], 3, axis=1))
     rows = np.arange(N)
     return compare(scene, refinement, motion, margin=0.0, name="capsule", scale=1.0, row=rows, index=rows)

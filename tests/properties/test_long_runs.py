@@ -97,7 +97,7 @@ keeps the last 128 chains for itself."""
     ("config", "count"),
     [
         (Config(solver=LevenbergMarquardt(iterations=2, restarts=0), weights=GEOMETRY), 1000),
-        (Config(solver=LevenbergMarquardt(iterations=3), starts=2), 200),
+        (Config(solver=LevenbergMarquardt(iterations=1), starts=1), 50),
         (Config(solver=Adam(iterations=2), weights=GEOMETRY, dtype="float32"), 200),
     ],
     ids=["closing", "holding", "adam"],

@@ -258,7 +258,7 @@ def test_a_grasp_that_is_there_already_is_left_alone(aimed: Scene) -> None:
     """Inverse kinematics once integrate it before it was looked at."""
     first = refine(aimed, GEOMETRY)
     there = np.flatnonzero(first.status == Status.CONVERGED)
-    scene = replace(aimed.select(list(there)), T_world_root=first.T_world_root[there], q=first.q[there])
+    scene = replace(aimed.select(there), T_world_root=first.T_world_root[there], q=first.q[there])
     found = refine(scene, GEOMETRY)
     assert (found.status == Status.CONVERGED).all() and not found.iterations.any()
     np.testing.assert_array_equal(found.T_world_root, scene.T_world_root)
@@ -269,7 +269,7 @@ def test_a_grasp_that_is_there_already_is_left_alone(aimed: Scene) -> None:
 
 def test_targets_that_exclude_each_other_end_as_stalled_not_for_want_of_iterations(aimed: Scene) -> None:
     """All links are to touch at the place of the first; new starts use up the iterations, and nothing falls."""
-    one = aimed.select([1])
+    one = aimed.select(np.array([1]))
     place = np.where(np.isnan(one.target_object), np.nan, one.target_object[:, :1])
     assert (np.isfinite(place[..., 0]).sum(axis=1) >= 2).all()
     config = Config(solver=LevenbergMarquardt(iterations=300, restarts=6))
@@ -329,7 +329,7 @@ def same(one: Refinement, other: Refinement, index: list[int], own: list[int]) -
 
 def test_the_width_of_the_batch_changes_nothing(aimed: Scene) -> None:
     """Slots are refilled while others are under way."""
-    twice = aimed.select([0, 1, 2, 3, 3, 2])
+    twice = aimed.select(np.array([0, 1, 2, 3, 3, 2]))
     config = Config(solver=LevenbergMarquardt(iterations=60))
     same(refine(twice, replace(config, width=3)), refine(twice, config), list(range(6)), list(range(6)))
 
@@ -350,7 +350,7 @@ def test_new_starts_depend_on_the_grasp_alone(
     together = refine(eight, config)
     assert len(set(again)) >= 2 and (together.iterations[again] > 15).all()
     order = [5, 2, 7, 0, 3, 6, 1, 4]
-    shuffled = refine(eight.select(order), replace(config, width=2))
+    shuffled = refine(eight.select(np.array(order)), replace(config, width=2))
     np.testing.assert_array_equal(shuffled.status, together.status[order])
     np.testing.assert_allclose(shuffled.q, together.q[order], atol=1e-6)
 
@@ -394,7 +394,7 @@ BALL = Config(
 
 
 def test_all_fingertips_come_to_the_ball_and_none_into_it(on_ball: Scene) -> None:
-    two = on_ball.select([0, 4])
+    two = on_ball.select(np.array([0, 4]))
     grasped = refine(two, BALL)
     before, after = (
         measure(on_ball.hand, on_ball.object, on_ball.links, T, q, grasped.target_link, grasped.target_object)

@@ -148,6 +148,7 @@ def test_a_note_says_that_all_palms_are_in_the_table(tmp_path: Path) -> None:
     T[1, 0, 3] += 0.5
     sizes = enumerate((("a", 0.05), ("b", 0.08)))
     bodies = [body(name, sphere(r), *T[row, :3, 3], movable=True) for row, (name, r) in sizes]
-    apart = replace(scene, T_world_root=T, task=Task(scene=Environment(tuple(bodies), np.eye(4)))).select([0, 1])
+    beside = Task(scene=Environment(tuple(bodies), np.eye(4)))
+    apart = replace(scene, T_world_root=T, task=beside).select(np.array([0, 1]))
     (note,) = hand_notes(apart)
     assert "'b'" in note and "'a'" not in note
