@@ -126,6 +126,7 @@ def refine_group(
         margin=config.margin,
         clearance=clearances(config, scene.hand, prepared.chain),
         selection=config.contact_selection,
+        displacement=prepared.displacement,
         name=group.object,
         scale=group.scale,
         row=group.rows,

@@ -133,14 +133,14 @@ def search(
     for start in (search.inputs,) if reached is None else (search.inputs, reached.point):
         tried = search.unsatisfied(rows)
         for phase in (KEEP, CLOSE):
-            some = tried[search.good_inputs[tried]] if phase is KEEP else tried
-            closed = search.attempt(some, take(start, some), (phase,))
-            search.touching[some] = closed.goal.touching
-            search.take(some, closed)
+            if len(some := tried[search.good_inputs[tried]] if phase is KEEP else tried):
+                closed = search.attempt(some, take(start, some), (phase,))
+                search.touching[some] = closed.goal.touching
+                search.take(some, closed)
         for stay in STAYS if search.nearest else (0.0,):
-            some = search.unsatisfied(rows)
-            phases = tuple(replace(phase, stay=stay if phase.balance else 0.0) for phase in PHASES)
-            search.take(some, search.attempt(some, take(start, some), phases))
+            if len(some := search.unsatisfied(rows)):
+                phases = tuple(replace(phase, stay=stay if phase.balance else 0.0) for phase in PHASES)
+                search.take(some, search.attempt(some, take(start, some), phases))
     search.starts[rows] = 1
     if search.by_quality:
         rows = rows[search.best.quality[rows] < config.confidence]

@@ -81,7 +81,7 @@ class Frozen:
         T_first: Float[np.ndarray, "M 4 4"],
         q_first: Float[np.ndarray, "M n"],
     ) -> tuple[Float[np.ndarray, "M 4 4"], Float[np.ndarray, "M n"]]:
-        """Return poses of the base link and joint values, frozen parts of which are those of the first."""
+        """Return poses of the base link and joint values with their frozen parts taken from the first ones."""
         fixed = np.zeros((4, 4), dtype=bool)
         fixed[:3, 3], fixed[:3, :3] = self.unknowns[0], self.unknowns[3]
         return np.where(fixed, T_first, T), np.where(self.joints, q_first, q)

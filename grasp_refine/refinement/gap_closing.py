@@ -11,7 +11,7 @@ from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.solvers.iterate import IterationCallback, Minimum, Point, Progress, Solver, minimise
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.refinement.terms.contact import contact_gap
-from grasp_refine.scene.contact_selection import link_groups
+from grasp_refine.scene.contact_selection import num_groups
 from grasp_refine.scene.goal import Goal
 
 RELEASE_GAP_M = 5e-4
@@ -85,7 +85,7 @@ def release_links(
 
     Args:
         problem: Problem of N grasps.
-        found: Its minima, of which some may have gaps left.
+        found: Its minima; some may have gaps left.
         solver: Levenberg-Marquardt.
         seconds: CPU time left for each grasp (N,).
         progress: As for `minimise`.
@@ -102,9 +102,7 @@ def release_links(
     worst, at = gap.argmax(axis=1), np.arange(len(left))
     touching = goal.touching[left]
     touching[at, worst] = False
-    group = np.unique(link_groups(scene.hand, scene.links), return_inverse=True)[1]
-    groups = np.stack([touching[:, group == one].any(axis=1) for one in range(group.max() + 1)]).sum(axis=0)
-    freed = (gap[at, worst] > RELEASE_GAP_M) & (groups >= 2)
+    freed = (gap[at, worst] > RELEASE_GAP_M) & (num_groups(scene.hand, scene.links, touching) >= 2)
     if not freed.any():
         return found, goal
     rows, all_touching = left[freed], goal.touching.copy()

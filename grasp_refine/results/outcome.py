@@ -155,6 +155,7 @@ def compare(
     margin: float,
     clearance: np.ndarray | float = 0.0,
     selection: ContactSelection | None = None,
+    displacement: Displacement | None = None,
     name: str,
     scale: float,
     row: np.ndarray,
@@ -169,6 +170,7 @@ def compare(
         margin: Gap in metres that contact links should keep.
         clearance: Gap (L,) in metres that links without a target keep beside it.
         selection: Selection of the contact links of input grasps (`contact_gaps`); None: the defaults.
+        displacement: Displacement of the hand; None: built here.
         name: The object's name in results.
         scale: Factor that took the object's mesh to metres.
         row: Rows of the grasps (N,) in their file.
@@ -192,7 +194,9 @@ def compare(
     plain, near = replace(before, target_link=None, target_object=None), KEEP.touching(selection or ContactSelection())
     own = ~np.isnan(contact_gaps(plain, geometry.witness.rows(slice(count)), near))
     touching = own, refinement.touching
-    moved = _measured(before, refinement, T_after, q_after, geometry, touching)
+    moved = _measured(
+        before, refinement, T_after, q_after, geometry, touching, displacement or Displacement.of(scene.hand)
+    )
     measures = {}
     for each in RECORDED:
         values = each.values(grasps if each.of_grasps else moved)
@@ -243,6 +247,7 @@ def _measured(
     q_after: np.ndarray,
     geometry: Geometry,
     touching: tuple[np.ndarray, np.ndarray],
+    displacement: Displacement,
 ) -> MeasuredRefinement:
     """Return effort and movement of a refinement.
 
@@ -253,18 +258,19 @@ def _measured(
         q_after: Their joint values (N, n).
         geometry: Geometry of the input grasps and of the refined ones (2 N).
         touching: Contact links (N, L) before and after.
+        displacement: Displacement of the hand.
     """
     hand, own, count = before.hand, ~before.hand.arm_joints, len(q_after)
     T_palm = palm_poses(hand, before.T_world_root, before.q), palm_poses(hand, T_after, q_after)
     T_link, witness = geometry.T_world_link, geometry.witness.rows(slice(count))
     with np.errstate(invalid="ignore"):
-        displacement = Displacement.of(hand).between(before.T_world_root, before.q, T_after, q_after)
+        displaced = displacement.between(before.T_world_root, before.q, T_after, q_after)
         contacts = contacts_moved(touching[0] & touching[1], witness, T_link[:count], T_link[count:])
     return MeasuredRefinement(
         **{name: getattr(refinement, name) for name in ("starts", "iterations", "queries", "cpu_s", "wall_s")},
         loss=refinement.loss[:, 1],
         movement=movement(T_palm[0], before.q[:, own], T_palm[1], q_after[:, own], hand.slides[own]),
-        displacement=displacement,
+        displacement=displaced,
         contacts_moved=contacts,
         links_kept=links_kept(*touching),
     )

@@ -196,7 +196,7 @@ def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[
     else:
         slips, how = slips & ~held[:, 1], f"did not hold and {'has' if slips.sum() == 1 else 'have'} a low quality"
     if slips.any():
-        advice = slip_advice(outcome, config)
+        advice = slip_advice(config)
         lines.append(
             Text.assemble((f"{slips.sum()} {how}", "yellow"), f"{_numbers_in_brackets(outcome, slips)}: {advice}")
         )
@@ -237,7 +237,7 @@ def _converged(outcome: Outcome, config: Config) -> list[Text]:
         lines += _text_lines(outcome, gaps, outcome.gap)
     for status in Status:
         count = int((outcome.status == status).sum())
-        advice = status_advice(status, outcome, config)
+        advice = status_advice(status, config)
         if count and advice and not (config.holds and status == Status.STALLED):
             numbers = _numbers_in_brackets(outcome, outcome.status == status)
             lines.append(Text.assemble((f"{count} {status.label}", _COLORS[status]), f"{numbers}: {advice}"))

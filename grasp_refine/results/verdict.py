@@ -38,7 +38,7 @@ def touches_outside(outcome: Outcome) -> Bool[np.ndarray, "N 2"]:
     return outcome.usable[:, None] & (outcome["region_miss_m"] > COSTLY_M[0])
 
 
-def slip_advice(outcome: Outcome, config: Config) -> str:
+def slip_advice(config: Config) -> str:
     """Return advice on grasps that may slip."""
     if config.holds:
         ways = ["more `starts`"]
@@ -54,7 +54,7 @@ def slip_advice(outcome: Outcome, config: Config) -> str:
     return f"forces are balanced with `solver` levenberg-marquardt only, {type(config.solver).__name__.lower()} cannot"
 
 
-def status_advice(status: Status, outcome: Outcome, config: Config) -> str:
+def status_advice(status: Status, config: Config) -> str:
     """Return advice on a refinement with this status; empty when there is nothing to do."""
     if status == Status.BUDGET and isfinite(config.seconds):
         return "the time or the iterations ran out while the loss still fell: raise `seconds`, or refine it again"
@@ -72,12 +72,12 @@ def advice(outcome: Outcome, config: Config) -> list[str]:
     outside = touches_outside(outcome)[:, 1]
     texts = []
     for status, slip, miss, weakness in zip(outcome.status, slips, outside, outcome.weakness.tolist(), strict=True):
-        parts = [status_advice(Status(status), outcome, config)]
+        parts = [status_advice(Status(status), config)]
         if miss:
             parts.append(f"{weakness}: {REGION_ADVICE}")
         elif slip:
             why = f" ({weakness})" if weakness else ""
-            parts.append(f"may slip{why}: {slip_advice(outcome, config)}")
+            parts.append(f"may slip{why}: {slip_advice(config)}")
         texts.append("; ".join(filter(None, parts)))
     return texts
 

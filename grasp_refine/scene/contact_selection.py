@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.arguments import check_fields
@@ -131,9 +131,7 @@ class ContactSelection:
             return anywhere
         miss = np.where(witness.valid, regions.miss(witness.point_b), 0.0)
         within = self.choose(hand, links, replace(witness, distance=witness.distance + miss))
-        group = np.unique(link_groups(hand, links), return_inverse=True)[1]
-        groups = np.stack([within[:, group == one].any(axis=1) for one in range(group.max() + 1)]).sum(axis=0)
-        return np.where((groups >= 2)[:, None], within, anywhere)
+        return np.where((num_groups(hand, links, within) >= 2)[:, None], within, anywhere)
 
 
 def _nearest_of_fixed(
@@ -168,6 +166,12 @@ def link_groups(hand: Hand, links: tuple[str, ...]) -> list[str]:
         return next(iter(fingers)) if len(fingers) == 1 else PALM
 
     return [of(link) for link in links]
+
+
+def num_groups(hand: Hand, links: tuple[str, ...], touching: Bool[np.ndarray, "N L"]) -> Int[np.ndarray, " N"]:
+    """Return the number (N,) of the groups (fingers, palm) of which some links (N, L) touch."""
+    group = np.unique(link_groups(hand, links), return_inverse=True)[1]
+    return np.stack([touching[:, group == one].any(axis=1) for one in range(group.max() + 1)]).sum(axis=0)
 
 
 def contact_misses(regions: ContactRegions, witness: Witness) -> np.ndarray:
