@@ -13,9 +13,9 @@ from refusals import assert_names
 from worker_tasks import some_tasks, work
 
 
-def test_what_work_raises_is_a_failure_in_its_own_words() -> None:
+def test_what_work_raises_is_a_failure_in_its_own_words(tmp_path: Path) -> None:
     kinds = ("mesh", "value", "stubborn", "memory", "full", "long")
-    tasks = some_tasks(Path(), *(f"raise {kind}" for kind in kinds))
+    tasks = some_tasks(tmp_path, *(f"raise {kind}" for kind in kinds))
     failures = [pickle.loads(pickle.dumps(attempt(work, task, lambda sign: None, 0.0))) for task in tasks]
     assert [each.reason for each in failures] == ["disk full" if kind == "full" else "error" for kind in kinds]
     assert_names(failures[2].message, "StubbornError")
