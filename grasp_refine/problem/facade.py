@@ -34,7 +34,7 @@ from grasp_refine.results.validation_table import validation_table
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.task import Task
 from grasp_refine.scene.task_file import as_task
-from grasp_refine.validation.engine_choice import EngineName
+from grasp_refine.validation.engine_table import MUJOCO, EngineChoice, chosen_engines
 from grasp_refine.validation.margins.factors import Factors
 from grasp_refine.validation.validate import Validated, validate
 
@@ -153,7 +153,7 @@ def simulate(
     refined: RefinedGrasps,
     task: Task | str | Path | None = None,
     *,
-    engine: EngineName = "mujoco",
+    engines: Sequence[EngineChoice] = (MUJOCO,),
     listener: Listener | None = None,
 ) -> SimulatedGrasps:
     """Simulate the task of refined grasps with them, before and after their refinement.
@@ -162,14 +162,16 @@ def simulate(
         refined: Result of `refine`.
         task: Another task, as of `load_task`, which counts where it names something. None: the task of the
             refinement, with protocol `scene` in a scene, else `dexgraspbench`, where it names none.
-        engine: "mujoco", or "drake", which needs the extra `drake`.
+        engines: Names of engines, the first of which decides, or "all": as `--engine` of `refine-grasp validate`.
         listener: Callbacks of the progress.
 
     Raises:
         GraspRefineError: there is no such task or engine, or MuJoCo cannot compile the hand or the world.
     """
     check_kind("refined", refined, RefinedGrasps)
-    return simulate_refined(replace(refined, problem=refined.problem.for_task(task)), listener=listener, engine=engine)
+    return simulate_refined(
+        replace(refined, problem=refined.problem.for_task(task)), listener=listener, engines=engines
+    )
 
 
 def evaluate(
@@ -178,6 +180,7 @@ def evaluate(
     grasps: GraspSet | None = None,
     task: Task | str | Path | None = None,
     *,
+    engines: Sequence[EngineChoice] = (MUJOCO,),
     as_is: bool = False,
 ) -> Evaluation:
     """Measure grasps as they are, refined or not, and, for a task with a protocol, simulate them.
@@ -187,6 +190,7 @@ def evaluate(
         object: The object, or its mesh as for `load_object`, in metres.
         grasps: Grasps on it, with their own pregrasps and squeezes where they have some.
         task: What the grasps must do, and where, as of `load_task`. Without a protocol, nothing is simulated.
+        engines: As for `simulate`.
         as_is: Whether to take grasps that are most likely in other units, quaternions or frames, as of `problem_of`.
 
     Raises:
@@ -195,11 +199,12 @@ def evaluate(
     problem = _problem(hand, object, grasps, task, as_is=as_is)
     simulated = problem.task.protocol is not None
     worlds = worlds_of(problem) if simulated else [None] * len(problem.groups)
+    names = chosen_engines(engines, [world for world in worlds if world is not None])
     parts = []
     for group, world in zip(problem.groups, worlds, strict=True):
         labels: dict[str, Any] = {"name": group.object, "scale": group.scale, "rows": group.rows, "index": group.index}
         motion = None if world is None else group.motion()
-        parts.append(validate(group.scene, **labels, world=world, motion=motion))
+        parts.append(validate(group.scene, **labels, world=world, motion=motion, engines=names))
     chosen = problem.task.test(patches=problem.hand.patches) if simulated else None
     return Evaluation(problem, chosen, Validated.join(parts).select(problem.order))
 

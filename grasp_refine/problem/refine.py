@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from grasp_refine.closing.motion import Motion, closing_motion
 from grasp_refine.hands.self_collision import ignored_overlaps
+from grasp_refine.measures.measures import SIDES
 from grasp_refine.problem.input_cache import InputCache, NoCache
 from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.refined import RefinedGrasps
@@ -22,7 +23,7 @@ from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.validation.engine_choice import EngineName
+from grasp_refine.validation.engine_table import MUJOCO, EngineChoice, EngineName
 from grasp_refine.validation.trials import Trials
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def refine_problem(
     problem: Problem,
     config: Config | None = None,
     *,
-    simulate: bool = False,
+    engines: Sequence[EngineChoice] = (),
     listener: Listener | None = None,
     cache: InputCache | None = None,
     threads: int | None = None,
@@ -61,21 +62,22 @@ def refine_problem(
     Args:
         problem: Hand, objects, grasps and task.
         config: All settings of the refinement; the defaults when None.
-        simulate: Whether they are simulated.
+        engines: Names of the engines that simulate them, the first of which decides; none: they are not simulated.
         listener: Callbacks of the progress.
         cache: Keeps prepared hands and objects for the next problem.
         threads: CPU threads of the simulation; by default as many as there are.
         on_refined: Called with the refined grasps before they are simulated.
 
     Raises:
-        GraspRefineError: a link that should touch does not exist, or MuJoCo cannot compile the hand or the world.
+        GraspRefineError: a link that should touch does not exist, or MuJoCo cannot compile the hand or the world, or
+            an engine cannot be used.
     """
     config, listener, cache = config or Config(), listener or Listener(), cache or NoCache()
 
     def prepared(group: Group) -> HandObject:
         return cache.get("prepared", (problem.hand, group.scene.object), partial(HandObject.of, group.scene))
 
-    worlds = worlds_of(problem, cache=cache, on_note=listener.note) if simulate else None
+    worlds = worlds_of(problem, cache=cache, on_note=listener.note) if engines else None
     parts = [
         refine_group(group, config, prepared=prepared(group), progress=listener.refining(group), on_note=listener.note)
         for group in problem.groups
@@ -87,7 +89,7 @@ def refine_problem(
     on_refined(refined)
     if worlds is None:
         return refined
-    return replace(refined, simulated=_simulate(problem, parts, worlds, listener, threads))
+    return replace(refined, simulated=_simulate(problem, parts, worlds, listener, threads, engines))
 
 
 def refine_group(
@@ -141,19 +143,19 @@ def simulate_refined(
     listener: Listener | None = None,
     cache: InputCache | None = None,
     threads: int | None = None,
-    engine: EngineName = "mujoco",
+    engines: Sequence[EngineChoice] = (MUJOCO,),
 ) -> SimulatedGrasps:
     """Simulate the task of refined grasps with them as they were given and as they are now.
 
     Arguments are as in `refine_problem`.
 
     Raises:
-        GraspRefineError: MuJoCo cannot compile the hand or the world, or the engine cannot be used.
+        GraspRefineError: MuJoCo cannot compile the hand or the world, or an engine cannot be used.
     """
     problem, listener = refined.problem, listener or Listener()
     worlds = worlds_of(problem, cache=cache, on_note=listener.note)
     parts = [refined.outcome.select(group.place) for group in problem.groups]
-    return _simulate(problem, parts, worlds, listener, threads, engine)
+    return _simulate(problem, parts, worlds, listener, threads, engines)
 
 
 def _simulate(
@@ -162,30 +164,31 @@ def _simulate(
     worlds: Sequence[World],
     listener: Listener,
     threads: int | None,
-    engine: EngineName = "mujoco",
+    engines: Sequence[EngineChoice],
 ) -> SimulatedGrasps:
     """Simulate the grasps of each group in its world, before and after; `parts` are the outcomes of the groups."""
-    from grasp_refine.validation.engine_choice import engine_of
+    from grasp_refine.validation.engine_table import ENGINES, chosen_engines, engine_of
     from grasp_refine.validation.robustness import judge
     from grasp_refine.validation.set_points import clipping_note
 
-    before: list[Trials] = []
-    after: list[Trials] = []
+    names = chosen_engines(engines, worlds, listener.note)
+    trials: dict[EngineName, tuple[list[Trials], list[Trials]]] = {name: ([], []) for name in names}
     motions: list[Motion] = []
     for group, part, world in zip(problem.groups, parts, worlds, strict=True):
-        simulations = engine_of(engine, world)
         report = listener.simulating(group)
-        refined = part.motion
-        motions.append(refined)
-        for motion, trials, when in ((group.motion(), before, "before"), (refined, after, "after")):
-            progress = partial(report, f"simulating, {when}")
-            trials.append(
-                judge(world, motion, numbers=group.rows, threads=threads, progress=progress, engine=simulations)
-            )
+        motions.append(part.motion)
+        for name, sides in trials.items():
+            engine = engine_of(name, world)
+            for motion, found, when in zip((group.motion(), part.motion), sides, SIDES, strict=True):
+                progress = partial(report, f"simulating in {ENGINES[name].title}, {when}")
+                found.append(
+                    judge(world, motion, numbers=group.rows, threads=threads, progress=progress, engine=engine)
+                )
     if clipped := clipping_note(worlds, motions):
         listener.note(clipped)
     order = problem.order
     protocol = problem.task.test(patches=problem.hand.patches)
-    return SimulatedGrasps(
-        protocol, Trials.join(before).select(order), problem.closing(), Trials.join(after).select(order)
+    before, after = (
+        {name: Trials.join(sides[side]).select(order) for name, sides in trials.items()} for side in (0, 1)
     )
+    return SimulatedGrasps(protocol, before, problem.closing(), after)

@@ -14,6 +14,7 @@ from rich.text import Text
 from grasp_refine.results.console import html_of
 from grasp_refine.results.verdict import Agreement, held_line, should_hold
 from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.validation.engine_table import EngineName
 from grasp_refine.validation.trials import NUMBERS, Reason, Trials
 
 
@@ -23,12 +24,22 @@ class SimulatedGrasps:
 
     protocol: Protocol
     """Protocol of the simulation."""
-    before: Trials
-    """Trials of the input grasps."""
+    in_before: Mapping[EngineName, Trials]
+    """Name of each engine -> trials of the input grasps in it."""
     closing: Mapping[str, str]
     """Source of the input grasps' pregrasps and squeezes: stage -> "file" or "own"."""
-    after: Trials
-    """Trials of the refined grasps, with our own pregrasps and squeezes."""
+    in_after: Mapping[EngineName, Trials]
+    """Name of each engine -> trials of the refined grasps in it, with our own pregrasps and squeezes."""
+
+    @property
+    def before(self) -> Trials:
+        """Trials of the input grasps in the first engine, which decides."""
+        return next(iter(self.in_before.values()))
+
+    @property
+    def after(self) -> Trials:
+        """Trials of the refined grasps in the first engine, which decides."""
+        return next(iter(self.in_after.values()))
 
     @property
     def held(self) -> Bool[np.ndarray, "N 2"]:

@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +22,7 @@ from grasp_refine.results.simulated import simulation_entry
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engine_agreement import EngineAgreement
+from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import Validated
 
 QUANTILES = {0.5: "median", 0.9: "90 %", 1.0: "worst"}
@@ -109,12 +111,14 @@ def _grasp(validated: Validated, i: int, protocol: Protocol | None, frictions: S
     }
 
 
-def _engine_agreement(validated: Validated) -> dict[str, Any] | None:
-    """Return how far both engines agree; None where one alone simulated."""
-    if validated.drake is None:
-        return None
-    agreement = EngineAgreement.of(validated.success, validated.drake.success)
-    return {**asdict(agreement), "share": agreement.share, "kappa": agreement.kappa}
+def _engine_agreement(validated: Validated) -> list[dict[str, Any]]:
+    """Return how far each two engines agree."""
+    found = []
+    for first, second in combinations(validated.engines, 2):
+        agreement = EngineAgreement.of(*(validated.engines[name].success for name in (first, second)))
+        labels = {"first": first, "second": second}
+        found.append({**labels, **asdict(agreement), "share": agreement.share, "kappa": agreement.kappa})
+    return found
 
 
 def _simulation(
@@ -127,7 +131,9 @@ def _simulation(
         **simulation_entry(validated.trials, i, protocol),
         "closed_first_m": None if validated.closed_m is None else validated.closed_m[i],
         "mass_kg": None if validated.mass is None else validated.mass[i],
-        "drake": None if validated.drake is None else simulation_entry(validated.drake, i, protocol),
+        "engines": {
+            name: simulation_entry(trials, i, protocol) for name, trials in list(validated.engines.items())[1:]
+        },
         "flags": {"barely": validated.barely(protocol)[i], "by_squeeze": validated.by_squeeze[i]},
         "without_squeeze": None if validated.unsqueezed is None else validated.unsqueezed[i],
         "noise_score": None if validated.noise is None else validated.noise[i],
@@ -149,22 +155,25 @@ def flat_rows(
     """Return one flat row per grasp: the entries of the document, without single directions."""
     rows = []
     entries = (
-        {"file": str(path), **_grasp(part, i, protocol, frictions)}
+        (part, i, {"file": str(path), **_grasp(part, i, protocol, frictions)})
         for path, part in zip(files, parts, strict=True)
         for i in range(len(part))
     )
-    for entry in entries:
+    engines = dict.fromkeys(name for part in parts for name in part.engines)
+    for part, i, entry in entries:
         row = {key: value["after"] if isinstance(value, dict) else value for key, value in entry.items()}
         row = {key: value for key, value in row.items() if key not in refinement_keys()}
         simulation = row.pop("simulation") or {}
-        drake = simulation.pop("drake", None)
-        simulation.pop("directions", None)
-        if drake is not None:
-            simulation["drake"] = {key: drake[key] for key in ("success", "reason")}
+        for key in ("directions", "engines"):
+            simulation.pop(key, None)
+        for name in engines:
+            trials = part.engines.get(name)
+            simulation[f"held_{name}"] = None if trials is None else trials.success[i]
+            simulation[f"reason_{name}"] = None if trials is None else Reason(trials.outcome[i]).label
         for key, value in simulation.items():
             nested = value if isinstance(value, dict) else {"": value}
-            for name, part in nested.items():
-                row["_".join(filter(None, (key, name)))] = " ".join(part) if isinstance(part, list) else part
+            for name, each in nested.items():
+                row["_".join(filter(None, (key, name)))] = " ".join(each) if isinstance(each, list) else each
         rows.append({key: _scalar(value) for key, value in row.items()})
     return rows
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -26,6 +27,7 @@ from grasp_refine.results.verdict import Agreement, estimate_line, held_line, sh
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engine_agreement import EngineAgreement
+from grasp_refine.validation.engine_table import ENGINES
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.validate import BARELY, MIN_CONTACT_LINKS, Validated
 
@@ -266,27 +268,28 @@ def _misplaced(validated: Validated) -> list[Text]:
 
 
 def _engines(validated: Validated) -> list[RenderableType]:
-    """Return how far both engines agree, and the grasps on which they do not, with each one's reason."""
-    mujoco, drake = validated.trials, validated.drake
-    if mujoco is None or drake is None:
-        return []
-    agreement = EngineAgreement.of(mujoco.success, drake.success)
-    counts = plain_table("MuJoCo and Drake")
-    for column in ("", "held in Drake", "lost in Drake"):
-        counts.add_column(column, justify="right", no_wrap=True)
-    counts.add_row("held in MuJoCo", str(agreement.both), str(agreement.mujoco_only))
-    counts.add_row("lost in MuJoCo", str(agreement.drake_only), str(agreement.neither))
-    beyond = "" if np.isnan(agreement.kappa) else f", Cohen's kappa {agreement.kappa:.2f}"
-    parts: list[RenderableType] = ["", counts, Text(f"they agree on {100 * agreement.share:.1f} %{beyond}")]
-    unlike = np.flatnonzero(mujoco.success != drake.success)
-    if len(unlike):
-        table = plain_table("grasps on which they do not")
-        for column in ("object", "grasp", "MuJoCo", "Drake"):
-            table.add_column(column, justify="right" if column == "grasp" else "left")
-        for i in unlike:
-            reasons = (_lost_text(trials, int(i)) for trials in (mujoco, drake))
-            table.add_row(escape(str(validated.object[i])), str(validated.index[i]), *reasons)
-        parts += ["", table]
+    """Return how far each two engines agree, and the grasps on which they do not, with each one's reason."""
+    parts: list[RenderableType] = []
+    for first, second in combinations(validated.engines, 2):
+        titles = ENGINES[first].title, ENGINES[second].title
+        one, other = validated.engines[first], validated.engines[second]
+        agreement = EngineAgreement.of(one.success, other.success)
+        counts = plain_table(" and ".join(titles))
+        for column in ("", f"held in {titles[1]}", f"lost in {titles[1]}"):
+            counts.add_column(column, justify="right", no_wrap=True)
+        counts.add_row(f"held in {titles[0]}", str(agreement.both), str(agreement.first_only))
+        counts.add_row(f"lost in {titles[0]}", str(agreement.second_only), str(agreement.neither))
+        beyond = "" if np.isnan(agreement.kappa) else f", Cohen's kappa {agreement.kappa:.2f}"
+        parts += ["", counts, Text(f"they agree on {100 * agreement.share:.1f} %{beyond}")]
+        unlike = np.flatnonzero(one.success != other.success)
+        if len(unlike):
+            table = plain_table("grasps on which they do not")
+            for column in ("object", "grasp", *titles):
+                table.add_column(column, justify="right" if column == "grasp" else "left")
+            for i in unlike:
+                reasons = (_lost_text(trials, int(i)) for trials in (one, other))
+                table.add_row(escape(str(validated.object[i])), str(validated.index[i]), *reasons)
+            parts += ["", table]
     return parts
 
 

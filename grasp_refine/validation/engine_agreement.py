@@ -10,27 +10,27 @@ from jaxtyping import Bool
 
 @dataclass(frozen=True)
 class EngineAgreement:
-    """Numbers of grasps that held in MuJoCo and in Drake."""
+    """Numbers of grasps that held in a first and in a second engine."""
 
     both: int
     """Number of grasps that held in both."""
-    mujoco_only: int
-    """Number of grasps that held in MuJoCo alone."""
-    drake_only: int
-    """Number of grasps that held in Drake alone."""
+    first_only: int
+    """Number of grasps that held in the first alone."""
+    second_only: int
+    """Number of grasps that held in the second alone."""
     neither: int
     """Number of grasps that held in none."""
 
     @staticmethod
-    def of(mujoco: Bool[np.ndarray, " N"], drake: Bool[np.ndarray, " N"]) -> EngineAgreement:
+    def of(first: Bool[np.ndarray, " N"], second: Bool[np.ndarray, " N"]) -> EngineAgreement:
         """Return the agreement on N grasps, given which held in each."""
-        counts = (mujoco & drake, mujoco & ~drake, ~mujoco & drake, ~mujoco & ~drake)
+        counts = (first & second, first & ~second, ~first & second, ~first & ~second)
         return EngineAgreement(*(int(count.sum()) for count in counts))
 
     @property
     def count(self) -> int:
         """Number of grasps."""
-        return self.both + self.mujoco_only + self.drake_only + self.neither
+        return self.both + self.first_only + self.second_only + self.neither
 
     @property
     def share(self) -> float:
@@ -46,6 +46,6 @@ class EngineAgreement:
         """
         if not self.count:
             return np.nan
-        mujoco, drake = (self.both + self.mujoco_only) / self.count, (self.both + self.drake_only) / self.count
-        chance = mujoco * drake + (1 - mujoco) * (1 - drake)
+        first, second = (self.both + self.first_only) / self.count, (self.both + self.second_only) / self.count
+        chance = first * second + (1 - first) * (1 - second)
         return (self.share - chance) / (1 - chance) if chance < 1 else np.nan

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.engine_choice import EngineChoice, engine_of
+from grasp_refine.validation.engine_table import ENGINES, MUJOCO, EngineName, engine_of
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
 from grasp_refine.validation.engines.mujoco.mounted_model import mounted_model
@@ -75,8 +76,8 @@ class Validated:
     """Share of the CPU time of the simulation (N,), seconds."""
     metrics: Metrics
     """Measures at the grasp pose."""
-    trials: Trials | None = None
-    """Trials in simulation."""
+    engines: Mapping[EngineName, Trials] = field(default_factory=dict)
+    """Name of each engine -> trials in it; those in the first one decide. Empty: nothing was simulated."""
     mass: Float[np.ndarray, " N"] | None = None
     """Mass of the simulated object (N,), kg."""
     noise: Float[np.ndarray, " N"] | None = None
@@ -85,8 +86,6 @@ class Validated:
     """True (N, F) where the grasp held with a coefficient of friction."""
     unsqueezed: Bool[np.ndarray, " N"] | None = None
     """True (N,) where the grasp held without the squeeze."""
-    drake: Trials | None = None
-    """Trials in Drake, where the others are in MuJoCo."""
     closed_m: Float[np.ndarray, " N"] | None = None
     """Distance (N,) by which open fingers were closed first in these trials, metres, as `Motion.closed_m`."""
 
@@ -95,6 +94,11 @@ class Validated:
     def __len__(self) -> int:
         """Return the number of grasps."""
         return len(self.index)
+
+    @property
+    def trials(self) -> Trials | None:
+        """Trials in the first engine; None: nothing was simulated."""
+        return next(iter(self.engines.values()), None)
 
     @property
     def success(self) -> Bool[np.ndarray, " N"]:
@@ -154,7 +158,7 @@ def validate(
     world: World | None = None,
     motion: Motion | None = None,
     checks: Checks | None = None,
-    engine: EngineChoice = "mujoco",
+    engines: Sequence[EngineName] = (MUJOCO,),
     progress: Progress = lambda what, done: None,
 ) -> Validated:
     """Measure N grasps on one object and, with a world, simulate them.
@@ -168,11 +172,11 @@ def validate(
         world: Hand and object for MuJoCo; None: nothing is simulated.
         motion: Motion that closes the hand to the grasps; needed for simulation.
         checks: Further trials beside the protocol; by default none.
-        engine: Engine of the simulation; both: Drake's trials beside MuJoCo's.
+        engines: Names of the engines that simulate; the first one decides, and makes the further trials.
         progress: Called with the progress of the simulation.
 
     Raises:
-        GraspRefineError: an argument of another type or shape.
+        GraspRefineError: an argument of another type or shape, or an engine that cannot be used.
     """
     check_kind("scene", scene, Scene)
     check_kind("world", world, World | None)
@@ -191,25 +195,27 @@ def validate(
     if world is None or motion is None:
         return Validated(**labels, wall_s=np.full(count, np.nan), cpu_s=np.full(count, np.nan))
     wall, cpu = time.perf_counter(), time.process_time()
-    first = engine_of("drake" if engine == "drake" else "mujoco", world)
-    second = engine_of("drake", world) if engine == "both" else None
-    of_all: dict[str, Any] = {"numbers": rows, "threads": checks.threads}
-    trials = judge(world, motion, **of_all, progress=lambda done: progress("simulating", done), engine=first)
-    drake = None
-    if second is not None:
-        drake = judge(
-            world, motion, **of_all, progress=lambda done: progress("simulating in Drake", done), engine=second
+    loaded = {name: engine_of(name, world) for name in engines}
+    trials = {
+        name: judge(
+            world,
+            motion,
+            numbers=rows,
+            threads=checks.threads,
+            progress=partial(progress, f"simulating in {ENGINES[name].title}"),
+            engine=engine,
         )
+        for name, engine in loaded.items()
+    }
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     return Validated(
         **labels,
         wall_s=np.full(count, wall / max(count, 1)),
         cpu_s=np.full(count, cpu / max(count, 1)),
-        trials=trials,
+        engines=trials,
         mass=np.full(count, world.mass),
-        drake=drake,
         closed_m=motion.closed_m,
-        **_further(world, scene, motion, rows, checks, first, progress),
+        **_further(world, scene, motion, rows, checks, loaded[engines[0]], progress),
     )
 
 
@@ -266,8 +272,10 @@ def _normal(scene: Scene) -> np.ndarray:
 
 
 def _joined(values: list) -> Any:
-    """Return arrays, measures or trials as one; None where a part has none."""
+    """Return arrays, measures or trials as one; None where a part has none. Of mappings, the keys of all parts."""
     first = values[0]
+    if isinstance(first, Mapping):
+        return {key: _joined([value[key] for value in values]) for key in first if all(key in each for each in values)}
     if any(value is None for value in values):
         return None
     return np.concatenate(values) if isinstance(first, np.ndarray) else type(first).join(values)

@@ -28,7 +28,7 @@ def test_a_hand_that_mujoco_refuses_costs_no_refinement(monkeypatch: pytest.Monk
     monkeypatch.setattr(refine, "refine_group", lambda *_, **__: pytest.fail("it was refined"))
     problem = load_problem(ProblemSpec(hand="allegro", object="rounded_box", index=(0,)))
     with pytest.raises(GraspRefineError, match="refused"):
-        refine_problem(problem.for_task(Task(Protocol("short"))), SHORT, simulate=True)
+        refine_problem(problem.for_task(Task(Protocol("short"))), SHORT, engines=["mujoco"])
 
 
 def test_refined_grasps_are_passed_on_before_they_are_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -36,5 +36,5 @@ def test_refined_grasps_are_passed_on_before_they_are_simulated(monkeypatch: pyt
     monkeypatch.setattr(robustness, "judge", lambda *_, **__: pytest.fail("simulated") if not seen else 1 / 0)
     problem = load_problem(ProblemSpec(hand="allegro", object="rounded_box", index=(0,)))
     with pytest.raises(ZeroDivisionError):
-        refine_problem(problem.for_task(Task(Protocol("short"))), SHORT, simulate=True, on_refined=seen.append)
+        refine_problem(problem.for_task(Task(Protocol("short"))), SHORT, engines=["mujoco"], on_refined=seen.append)
     assert len(seen) == 1 and seen[0].simulated is None and len(seen[0]) == 1

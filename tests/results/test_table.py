@@ -128,7 +128,10 @@ def simulated(*pairs: tuple[bool, bool]) -> SimulatedGrasps:
 
     before, after = np.where(np.array(pairs).T, Reason.HELD, Reason.MOVED)
     return SimulatedGrasps(
-        Protocol(), made_trials(before[:, None]), {"pregrasp": "own", "squeeze": "own"}, made_trials(after[:, None])
+        Protocol(),
+        {"mujoco": made_trials(before[:, None])},
+        {"pregrasp": "own", "squeeze": "own"},
+        {"mujoco": made_trials(after[:, None])},
     )
 
 

@@ -12,6 +12,7 @@ from grasp_refine.measures.measures import VALIDATED
 from grasp_refine.measures.metrics import Metrics
 from grasp_refine.results.validation_table import validation_table
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.engine_table import MUJOCO
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import Validated
 from made_results import made_trials
@@ -28,7 +29,15 @@ def validated(reason: np.ndarray, peak_m: np.ndarray, peak_rad: np.ndarray) -> V
     number = np.arange(count)
     metrics = Metrics({measure.name: np.full(count, 0.95) for measure in VALIDATED})
     return Validated(
-        np.full(count, "box"), np.ones(count), number, number, nothing, nothing, metrics, trials, np.full(count, 0.1)
+        np.full(count, "box"),
+        np.ones(count),
+        number,
+        number,
+        nothing,
+        nothing,
+        metrics,
+        {MUJOCO: trials},
+        np.full(count, 0.1),
     )
 
 

@@ -1,17 +1,24 @@
 """Engines by name, and how far two agree."""
 
 import sys
+from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import box
+from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.scene import SCENE
 from grasp_refine.scene.task import Task
+from grasp_refine.validation import engine_table
 from grasp_refine.validation.engine_agreement import EngineAgreement
-from grasp_refine.validation.engine_choice import engine_of
+from grasp_refine.validation.engine_table import ENGINES, EngineName, chosen_engines, engine_of
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from gripper import ball, gripper
+from gripper import RADIUS, ball, gripper
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +36,36 @@ def test_without_drake_its_engine_says_how_to_install_it(world: World, monkeypat
 
 
 def test_an_unknown_engine_is_refused_with_the_choices(world: World) -> None:
-    with pytest.raises(GraspRefineError, match="mujoco or drake"):
+    with pytest.raises(GraspRefineError, match="mujoco, drake"):
         engine_of("bullet", world)
+    for wrong in ("mujoco", [], ["mujoco", "bullet"]):
+        with pytest.raises(GraspRefineError, match="drake"):
+            chosen_engines(wrong, [world])  # type: ignore[arg-type]  # on purpose
+
+
+def test_names_of_engines_are_those_of_the_table() -> None:
+    assert set(get_args(EngineName)) == set(ENGINES)
+
+
+def test_another_engine_is_one_entry_and_all_leaves_out_those_that_cannot(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second MuJoCo by another name, and one whose package is not there."""
+    second = replace(ENGINES["mujoco"], title="Second", has_scenes=False)
+    missing = replace(second, title="Missing", module="no_such_package.rows", imports="no_such_package", extra="there")
+    entries = {"mujoco": ENGINES["mujoco"], "missing": missing, "second": second}
+    monkeypatch.setattr(engine_table, "ENGINES", entries)
+    notes: list[str] = []
+    assert chosen_engines(["all"], [world], notes.append) == ("mujoco", "second")
+    (note,) = notes
+    assert "missing" in note and "grasp-refine[there]" in note
+    assert chosen_engines(["second", "all"], [world]) == ("second", "mujoco")
+    table = EnvironmentBody("table", build_body("table", [box([1.0, 1.0, 0.04])], candidates=16), np.eye(4))
+    table.T_world_body[2, 3] = -RADIUS - 0.02
+    in_scene = build_world(gripper(), ball(), Task(SCENE, scene=Environment((table,), np.eye(4))))
+    notes.clear()
+    assert chosen_engines(["all"], [world, in_scene], notes.append) == ("mujoco",)
+    assert "second" in notes[1] and in_scene.scene in notes[1]
 
 
 def test_agreement_counts_grasps_and_kappa_is_what_chance_leaves() -> None:

@@ -16,7 +16,7 @@ from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.scene import SCENE
 from grasp_refine.scene.task import Task
-from grasp_refine.validation.engine_choice import engine_of
+from grasp_refine.validation.engine_table import engine_of
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason

@@ -25,6 +25,7 @@ from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.results.document import settings
 from grasp_refine.results.verdict import advice, should_hold
+from grasp_refine.validation.engine_table import EngineChoice
 from grasp_refine_apps.batch.digests import Digests
 from grasp_refine_apps.batch.plan import ShardTask, task_digest
 from grasp_refine_apps.batch.shard import Done, Shard
@@ -39,8 +40,8 @@ class ShardWork:
 
     config: Config
     """Settings of the refinement."""
-    simulates: bool
-    """Whether the task of each grasp is simulated."""
+    engines: tuple[EngineChoice, ...]
+    """Engines that simulate the task of each grasp; none: nothing is simulated."""
     described: dict[str, Any]
     """All settings, for provenance."""
     profile: bool = False
@@ -65,8 +66,8 @@ class ShardWork:
         wall, cpu = time.perf_counter(), time.process_time()
         task, cache = shard.task, cache_of(shard.task.batch)
         problem = problem_of(task, self.config.seed, cache, heartbeat)
-        share = _ShardProgress(heartbeat, len(problem), self._most(), simulates=self.simulates)
-        refined = refine_problem(problem, self.config, simulate=self.simulates, listener=share, cache=cache, threads=1)
+        share = _ShardProgress(heartbeat, len(problem), self._most(), simulates=bool(self.engines))
+        refined = refine_problem(problem, self.config, engines=self.engines, listener=share, cache=cache, threads=1)
         outcome, simulated = refined.outcome, refined.simulated
         if task.sampled is None:
             # Rows of the whole file; the problem contains only some of them.

@@ -170,7 +170,7 @@ class Batch:
             complete = {number for number, state in states.items() if state is State.COMPLETE}
             session = Session(shards, plan.refused, complete, statistics=Statistics.empty(config.confidence))
             self._run_shards(
-                ShardWork(config, self.validation.validate, described, self.output.profile), session, console
+                ShardWork(config, self.validation.engines, described, self.output.profile), session, console
             )
             with Progress(console, (), 1) as progress:
                 outputs.read(session, progress)
@@ -289,7 +289,7 @@ class Batch:
             return
         clean(todo)
         workers = self.sharding.num_workers(len(todo))
-        simulated = work.simulates
+        simulated = bool(work.engines)
         began = time.perf_counter()
         with Progress(console, todo, workers, session.skipped, simulated=simulated) as progress:
             if session.room_bytes > disk_usage(self.output.out).free:

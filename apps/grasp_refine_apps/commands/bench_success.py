@@ -12,7 +12,7 @@ from tyro.conf import DisallowNone, arg
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.problem.spec import AUTO, ProblemSpec
 from grasp_refine.scene.protocols.protocol_file import load_protocol
-from grasp_refine.validation.engine_choice import EngineName, check_engine
+from grasp_refine.validation.engine_table import MUJOCO, EngineName, check_engine
 from grasp_refine_apps.bench.success.cases import Axes
 from grasp_refine_apps.bench.success.measure import MethodName
 from grasp_refine_apps.bench.success.study import PRESETS, SuccessStudy, completed
@@ -81,9 +81,9 @@ class BenchSuccess(BenchCommand):
     """Numbers of starts of the search for grasps that may not hold; each number is a separate run."""
     protocols: Annotated[Names, default("dexgraspbench strict, or the preset's", metavar="NAME|FILE.toml [...]")] = None
     """Protocols of the simulation: names that `refine-grasp validate --help` lists, or TOML files."""
-    engines: Annotated[DisallowNone[tuple[EngineName, ...] | None], default("mujoco")] = None
-    """Engines of the simulation. With both, every grasp is simulated in each, and a table shows their agreement. drake
-    needs the extra `drake`, and takes several times as long."""
+    engines: Annotated[DisallowNone[tuple[EngineName, ...] | None], default(MUJOCO)] = None
+    """Engines of the simulation. With several, every grasp is simulated in each, and a table shows how far each two
+    agree. Each needs its extra, and all but mujoco take several times as long."""
     perturb: Switch = None
     """Simulate each grasp once more, moved by 5 mm and rotated by 10 degrees about the middle of the fingers, at
     random."""
@@ -129,7 +129,7 @@ class BenchSuccess(BenchCommand):
         names = [protocol.name for protocol in protocols]
         if len(set(names)) < len(names) and self.protocols is not None:
             raise GraspRefineError(f"--protocols: two of them have one name: {', '.join(names)}")
-        engines = tuple(dict.fromkeys(self.engines or ("mujoco",)))
+        engines = tuple(dict.fromkeys(self.engines or (MUJOCO,)))
         for engine in engines:
             check_engine(engine)
         return tuple(Trial(protocol, engine) for protocol, engine in product(protocols, engines))

@@ -120,8 +120,8 @@ class Run:
             )
             loader = Loader(self.inputs, config.seed, reporter.say, reporter.wait)
             problem = loader.problem()
-            simulates = self.validation.validate
-            protocol = problem.task.test(patches=problem.hand.patches) if simulates else None
+            engines = self.validation.engines
+            protocol = problem.task.test(patches=problem.hand.patches) if engines else None
             described |= {"protocol": settings(protocol), TASK: task_entry(problem.task)}
             self._check_applicable(problem, config)
             stamps = self._stamps(problem, loader.spec, described["refine"])
@@ -138,7 +138,7 @@ class Run:
                     refined.write(paths, objects)
 
             # Before the simulation, too, so that whatever happens in it loses no refined grasps.
-            refined = refine_problem(problem, config, simulate=simulates, listener=reporter, on_refined=write)
+            refined = refine_problem(problem, config, engines=engines, listener=reporter, on_refined=write)
             planned = None if options is None else plan_trajectories(refined, options)
             if planned is not None and protocol is not None and protocol.tabletop:
                 planned = follow_trajectories(refined, planned)

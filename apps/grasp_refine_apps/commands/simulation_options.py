@@ -12,12 +12,16 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.problem.problem import StageSource
 from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.scene.protocols.protocol import Protocol
-from grasp_refine.validation.engine_choice import EngineChoice
+from grasp_refine.validation.engine_table import MUJOCO, EngineChoice, chosen_engines
 from grasp_refine.validation.validate import Checks
 from grasp_refine_apps.commands.option_rules import OptionGroup
 
 MAX_PUSH_S = 60.0
 """Longest push, seconds."""
+
+
+Engines = Annotated[tuple[EngineChoice, ...], arg(help_behavior_hint=f"(default: {MUJOCO})")]
+"""Option with the names of engines."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +40,10 @@ class Simulation:
     about one point; for mujoco. A protocol that says nothing does so for hands that touch in patches, as grippers."""
     closing: StageSource = "auto"
     """Pregrasps and squeezes: from the file, generated, or auto: from the file if it has them, else generated."""
-    engine: EngineChoice = "mujoco"
-    """Engine that simulates: mujoco; drake, of another contact model, for a second opinion (pip install
-    'grasp-refine[drake]'); or both, and how far they agree. --noise, --frictions and --without-squeeze of both are
-    mujoco's."""
+    engine: Engines = (MUJOCO,)
+    """Engines that simulate, and how far they agree: each has its own contact model and solver. The first one decides
+    which grasps hold, and makes the trials of --noise, --frictions and --without-squeeze. all: those that are installed
+    and simulate the hand and its task; each needs its extra: pip install 'grasp-refine[NAME]'."""
     threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
     """Number of CPU threads; results do not depend on it."""
 
@@ -104,3 +108,17 @@ class ValidationOptions:
 
     validate: bool = False
     """Simulate the grasps before and after: does the object stay in the hand when it is pushed?"""
+    engine: Engines = (MUJOCO,)
+    """Engines that simulate, as in `refine-grasp validate`; the first one decides."""
+
+    @property
+    def engines(self) -> tuple[EngineChoice, ...]:
+        """Engines that simulate; none: nothing is simulated.
+
+        Raises:
+            GraspRefineError: engines without --validate, or one of them cannot be used.
+        """
+        if not self.validate and self.engine != ValidationOptions.engine:
+            raise GraspRefineError("--engine needs --validate")
+        chosen_engines(self.engine, ())
+        return self.engine if self.validate else ()

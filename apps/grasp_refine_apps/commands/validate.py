@@ -31,6 +31,7 @@ from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.registry import default_protocol
 from grasp_refine.scene.task import Task
 from grasp_refine.scene.task_file import TASK, task_entry
+from grasp_refine.validation.engine_table import MUJOCO, chosen_engines
 from grasp_refine.validation.engines.mujoco.world import World
 from grasp_refine.validation.margins.margins import Margins, Worlds, margins, other_model_of
 from grasp_refine.validation.set_points import clipping_note
@@ -201,9 +202,10 @@ class Validate:
             or self.margins != MarginsOptions()
         ):
             raise GraspRefineError("with --no-simulate, options of the simulation have no effect: leave them out")
-        if self.simulation.engine == "drake" and (self.recording.replays is not None or self.margins.margins):
+        engines = chosen_engines(self.simulation.engine, ())
+        if MUJOCO not in engines and (self.recording.replays is not None or self.margins.margins):
             option = "--margins" if self.margins.margins else "--replays"
-            raise GraspRefineError(f"{option} simulates in MuJoCo: give --engine mujoco, or both, with it")
+            raise GraspRefineError(f"{option} simulates in MuJoCo: name it in --engine, too")
         if 0 in self.robustness.frictions:
             raise GraspRefineError("--frictions must be above 0")
         if len(set(self.robustness.frictions)) < len(self.robustness.frictions):
@@ -231,6 +233,8 @@ class Validate:
         if protocol is not None:
             worlds = worlds_of(problem, on_note=reporter.note)
         compiling += time.process_time()
+        tested = [world for world in worlds if world is not None]
+        engines = chosen_engines(self.simulation.engine, tested, reporter.note) if tested else ()
         checks = self.robustness.checks(self.simulation.threads)
         parts, tried = list[Validated](), list[Margins]()
         trials = list[tuple[Group, World, Motion, Trials]]()
@@ -247,7 +251,7 @@ class Validate:
                 world=world,
                 motion=motion,
                 checks=checks,
-                engine=self.simulation.engine,
+                engines=engines,
                 progress=reporter.simulating(group),
             )
             parts.append(found)
@@ -255,7 +259,8 @@ class Validate:
                 drawn_in, progress = Worlds.of(world.hand, scene.object, scene.task, other), reporter.simulating(group)
                 tried.append(margins(drawn_in, motion, drawn, threads=checks.threads, progress=progress))
             if world is not None and motion is not None and found.trials is not None:
-                trials.append((group, world, motion, found.trials))
+                # Replays are MuJoCo's.
+                trials.append((group, world, motion, found.engines.get(MUJOCO, found.trials)))
         if clipped := clipping_note([world for _, world, *_ in trials], [motion for _, _, motion, _ in trials]):
             reporter.note(clipped)
         if ignored := ignored_overlaps(problem.hand, np.concatenate([group.scene.q for group in problem.groups])):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from grasp_refine.measures.measures import COMPARED
 from grasp_refine.refinement.config import Config
 from grasp_refine.validation.engine_agreement import EngineAgreement
+from grasp_refine.validation.engine_table import ENGINES as ENGINE_TABLE
 from grasp_refine_apps.bench.chart import Row, of_finite
 from grasp_refine_apps.bench.success.measure import GROUPINGS, Measured, Method
 from grasp_refine_apps.bench.success.trials import HELD, AnyTrial, Trial
@@ -175,21 +177,21 @@ def auc(score: np.ndarray, success: np.ndarray) -> float | None:
 def _agreement(
     done: Sequence[Sequence[Measured]], methods: Sequence[Method], trials: Sequence[AnyTrial]
 ) -> Iterator[Row]:
-    """Yield the agreement of MuJoCo and Drake on the grasps of each method, for each protocol that both tried."""
+    """Yield the agreement of each two engines on the grasps of each method, for each protocol that both tried."""
     simulated = [trial for trial in trials if isinstance(trial, Trial)]
-    of_engine = {(trial.protocol, trial.name, trial.engine): trial.columns[0] for trial in simulated}
-    for (protocol, name, engine), column in of_engine.items():
-        other = of_engine.get((protocol, name, "drake"))
-        if engine != "mujoco" or other is None:
+    for first, second in combinations(simulated, 2):
+        if (first.protocol, first.name) != (second.protocol, second.name):
             continue
+        titles = " and ".join(ENGINE_TABLE[trial.engine].title for trial in (first, second))
         for method in methods:
             those = [one for case in done for one in case if one.method == method]
-            held = [np.concatenate([one.verdict[each] for one in those]) == HELD for each in (column, other)]
+            held = [np.concatenate([one.verdict[each.columns[0]] for one in those]) == HELD for each in (first, second)]
             found = EngineAgreement.of(*held)
-            counts = {"mujoco_only": found.mujoco_only, "drake_only": found.drake_only}
+            counts = {"first_only": found.first_only, "second_only": found.second_only}
             kappa = found.kappa if np.isfinite(found.kappa) else None
             shares = {"share": found.share, "kappa": kappa}
-            yield {"by": ENGINES, "label": column, **_method(method), "grasps": found.count, **shares, **counts}
+            label = f"{first.name or first.protocol.name}, {titles}"
+            yield {"by": ENGINES, "label": label, **_method(method), "grasps": found.count, **shares, **counts}
 
 
 def _failures(done: Sequence[Sequence[Measured]], columns: Sequence[str]) -> Iterator[Row]:

@@ -141,7 +141,7 @@ class SuccessStudy:
             note = f"From left to right: {', '.join(methods)}; in brackets, how many are lost of those that held first."
             parts.append(Table(f"By {by}", heads, lines, note, only=place, folded=len(lines) > MANY))
         if agreed := _pivoted([row for row in rows if row["by"] == ENGINES], methods):
-            parts.append(Table("Agreement of MuJoCo and Drake", AGREEMENT, agreed, AGREEMENT_NOTE))
+            parts.append(Table("Agreement of engines", AGREEMENT, agreed, AGREEMENT_NOTE))
         parts.append(_reasons(every, columns))
         if problems:
             failed = [problem.partition(": ") for problem in problems]
@@ -381,12 +381,12 @@ AGREEMENT_NOTE = (
     "all grasps have one verdict."
 )
 AGREEMENT = (
-    Column("label", "protocol"),
+    Column("label", "protocol, first and second engine"),
     Column("grasps", "number", form="d"),
     Column("share", "same verdict", "%", _listed("%", ".1f"), hint="share of the grasps"),
     Column("kappa", "kappa", "", _listed("", "z.2f"), hint="1: equal, 0: as by chance"),
-    Column("mujoco_only", "held in MuJoCo only", "", _listed("", ".0f"), hint="number of grasps"),
-    Column("drake_only", "held in Drake only", "", _listed("", ".0f"), hint="number of grasps"),
+    Column("first_only", "held in the first only", "", _listed("", ".0f"), hint="number of grasps"),
+    Column("second_only", "held in the second only", "", _listed("", ".0f"), hint="number of grasps"),
 )
 
 # presets

@@ -18,7 +18,7 @@ from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.scene import SCENE
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.task import Task
-from grasp_refine.validation.engine_choice import EngineName, engine_of
+from grasp_refine.validation.engine_table import ENGINES, MUJOCO, EngineName, engine_of
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.trials import Reason
@@ -55,7 +55,7 @@ class Trial:
     """Simulation of the closing hand by a protocol, in an engine."""
 
     protocol: Protocol
-    engine: EngineName = "mujoco"
+    engine: EngineName = MUJOCO
     name: str = ""
     """Name in tables; empty: the name of the protocol."""
 
@@ -63,7 +63,7 @@ class Trial:
     def columns(self) -> tuple[str, ...]:
         """Names of its verdicts: the protocol, with the engine where it is not MuJoCo."""
         name = self.name or self.protocol.name
-        return (name if self.engine == "mujoco" else f"{name} in {self.engine.capitalize()}",)
+        return (name if self.engine == MUJOCO else f"{name} in {ENGINES[self.engine].title}",)
 
     def run(self, tried: Tried, cache: InputCache, threads: int | None, progress: Callable[[float], None]) -> Found:
         """Return the `Reason` of each grasp in words."""

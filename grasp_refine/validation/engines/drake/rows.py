@@ -21,13 +21,22 @@ from grasp_refine.validation.engines.drake.build import build_plant
 from grasp_refine.validation.engines.drake.plant import Parameters, Plant, rigid
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, StepCallback
 from grasp_refine.validation.engines.mujoco.world import OBJECT_GEOM, UP, World
-from grasp_refine.validation.engines.simulations import Simulations, Touch
+from grasp_refine.validation.engines.simulations import Engine, Simulations, Touch
 
 POSE_NUMBERS = 16
 """Numbers of a transform."""
 
 MAX_PLANTS = 64
 """Largest number of plants that are kept: a chunk of grasps under different conditions."""
+
+
+def engine_for(world: World) -> Engine:
+    """Return the engine of a world.
+
+    Raises:
+        GraspRefineError: the model has a part that Drake has no counterpart of; names it.
+    """
+    return Plants(world).simulations
 
 
 class Workspace:
@@ -98,9 +107,14 @@ class Plants:
     """Plants of a world, built as grasps under their conditions come."""
 
     def __init__(self, world: World) -> None:
-        """Begin without any."""
-        self.world = world
+        """Build the plant of the protocol.
+
+        Raises:
+            GraspRefineError: the model has a part that Drake has no counterpart of; names it.
+        """
+        self.nominal = Parameters(world.protocol.friction, world.mass)
         self._get = lru_cache(maxsize=MAX_PLANTS)(lambda parameters: Workspaces(build_plant(world, parameters)))
+        self._get(self.nominal)
 
     def simulations(
         self,
@@ -117,7 +131,7 @@ class Plants:
         """
         if conditions.default_contact is not None and conditions.default_contact.any():
             raise GraspRefineError("MuJoCo's default contact is a condition of engine mujoco, not of drake")
-        nominal = Parameters(world.protocol.friction, world.mass)
+        nominal = self.nominal
         chosen = [parameters_of(conditions, row, nominal) if runs else nominal for row, runs in enumerate(running)]
         return Rows(world, [self._get(parameters) for parameters in chosen], running, threads)
 

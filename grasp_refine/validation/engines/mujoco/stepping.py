@@ -18,7 +18,7 @@ from grasp_refine.hands.files.mujoco_messages import unlogged
 from grasp_refine.scene.protocols.contact_model import MUJOCO_CONTACT
 from grasp_refine.validation.engines.mujoco.arm_lift import ArmLift
 from grasp_refine.validation.engines.mujoco.world import CONES, HAND, OBJECT, OBJECT_GEOM, OTHER_GEOM, World
-from grasp_refine.validation.engines.simulations import Simulations, Touch
+from grasp_refine.validation.engines.simulations import Engine, Simulations, Touch
 
 DIVERGED = [
     warning.value
@@ -89,6 +89,11 @@ class Conditions:
     def select(self, rows: np.ndarray) -> Conditions:
         """Return the conditions of the simulations `rows`."""
         return take(self, rows)
+
+
+def engine_for(world: World) -> Engine:
+    """Return the engine of any world."""
+    return Rows
 
 
 class Rows(Simulations):

@@ -14,7 +14,7 @@ from grasp_refine.scene.protocols.strict import STRICT
 from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.scene.task import Task
 from grasp_refine.validation import simulation
-from grasp_refine.validation.engine_choice import engine_of
+from grasp_refine.validation.engine_table import engine_of
 from grasp_refine.validation.engines.drake.contacts import CONTACT_STIFFNESS_N_M
 from grasp_refine.validation.engines.drake.rows import Plants, Rows
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
