@@ -13,7 +13,7 @@ from grasp_refine.core.array_records import take
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.core.short_repr import brief
-from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N, squeeze
+from grasp_refine.forces.squeeze import squeeze
 from grasp_refine.forces.squeeze_forces import SqueezeForces
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, match_joints
 from grasp_refine.hands.hand import Hand
@@ -60,7 +60,7 @@ def closing_motion(
     prepared: HandObject | None = None,
     progress: Progress | None = None,
     *,
-    pressure: float = TOTAL_PRESSURE_N,
+    pressure: float | None = None,
 ) -> Motion:
     """Return our motion to the grasps of a scene: open before, pressing after; NaN for invalid poses.
 
@@ -70,7 +70,7 @@ def closing_motion(
         scene: Hand, object and grasps.
         prepared: Geometry of this hand and object; None: built here.
         progress: As for `open_hand`.
-        pressure: Sum of the pressures of all contacts in newtons.
+        pressure: Sum of the pressures of all contacts in newtons; None: by the task, see `squeeze`.
 
     Raises:
         GraspRefineError: an argument of another type.

@@ -329,13 +329,15 @@ def _contact_motion(
 
 
 def mode_residual(
-    hand: Hand, obj: Object, chain: Chain, frames: Frames, points: ContactPoints
+    hand: Hand, obj: Object, chain: Chain, frames: Frames, points: ContactPoints, grip: float = 1.0
 ) -> Float[np.ndarray, " N"]:
     """Return the largest torque (N,) in a mode of a linkage that the best forces of grasps leave, without unit.
 
-    It is per unit of total pressure, over `infeasible_torques.LEVER_M`.
+    It is per unit of total pressure, over `infeasible_torques.LEVER_M`; `grip` is that of the task's `Demand`.
     """
-    equilibrium = Equilibrium.of(hand, chain, center_of_mass(obj))
+    equilibrium = Equilibrium.of(hand, chain, center_of_mass(obj), PLANNING_FRICTION * grip)
     none, axes = np.zeros((len(frames.q), 1, 6)), frames.T_world_root[:, :3, :3]
-    found = points.forces_under(none, equilibrium.center, forms=equilibrium.forms_at(frames), axes=axes)
+    found = points.forces_under(
+        none, equilibrium.center, friction=equilibrium.friction, forms=equilibrium.forms_at(frames), axes=axes
+    )
     return np.abs(found.unbalanced[:, 0, -len(hand.modes) :]).max(axis=1)

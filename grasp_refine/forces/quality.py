@@ -14,17 +14,18 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.equilibrium import PUSH_SHARE, Equilibrium
 from grasp_refine.forces.infeasible_torques import mode_shares
-from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N, contacts
+from grasp_refine.forces.squeeze import contacts
 from grasp_refine.forces.stiffness import object_motion
 from grasp_refine.forces.torques import GIVE_RAD, joint_torques, limit_shares
-from grasp_refine.forces.wrench import center_of_mass, turn_loads
+from grasp_refine.forces.wrench import PLANNING_FRICTION, center_of_mass, turn_loads
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.scene.demand import TOTAL_PRESSURE_N, Demand
 from grasp_refine.witness.face_patch import FacePairs
 
 LOW_FRICTION = 0.1
-"""Friction with which the forces should still balance: less than the planning friction."""
+"""Friction with which the forces should still balance in `dexgraspbench`: less than the planning friction."""
 
 DEEP = 0.01
 """Penetration, or gaps of contacts, in metres that count as much as forces that do not balance at all."""
@@ -33,11 +34,12 @@ PUSHES = PUSH_SHARE * np.concatenate([np.eye(3, 6), -np.eye(3, 6)])
 """Outer forces (6, 6) that the contacts should balance too, as loads of `contact_forces` in the axes of the hand."""
 
 HOLDING_PRESSURE_N = 3.5
-"""Sum of the pressures, in newtons, at which torques must be within their limits: hands that cannot make so much begin
-to lose the object of the protocol that `calibration` is fitted to, whichever hand it is."""
+"""Sum of the pressures, in newtons, at which torques must be within their limits in `dexgraspbench`: hands that cannot
+make so much begin to lose the object, whichever hand it is."""
 
 YIELDING_RAD_N = 0.01
-"""Angle in rad by which the object may turn for each newton of a push: contacts well apart hold it by less."""
+"""Angle in rad by which the object may turn for each newton of a push of 1 N, or for the same share of another force:
+contacts well apart hold it by less."""
 
 MOST_YIELDING = 9.0
 """Largest excess over `YIELDING_RAD_N`, as a share of it; unstable grasps get it."""
@@ -54,10 +56,10 @@ class Quality:
     """Shortcomings of each of N grasps, all without unit and 0 at best; NaN where a grasp has no forces."""
 
     slippery: Float[np.ndarray, " N"]
-    """Wrench residual (N,) with friction `LOW_FRICTION`."""
+    """Wrench residual (N,) with friction `LOW_FRICTION`, or as little for the task."""
     pushed: Float[np.ndarray, " N"]
-    """Mean wrench residual (N,) under `PUSHES`, with `PLANNING_FRICTION`; joints that share an actuator make torques in
-    its ratio, as nearly as balance allows."""
+    """Mean wrench residual (N,) under `PUSHES`, with the planning friction of the task; joints that share an actuator
+    make torques in its ratio, as nearly as balance allows."""
     deep: Float[np.ndarray, " N"]
     """Deepest penetration of hand and object (N,), over `DEEP`."""
     open: Float[np.ndarray, " N"]
@@ -107,10 +109,13 @@ def quality(
     witness: Witness,
     clearance: Float[np.ndarray, " L"] | float = 0.0,
     faces: FacePairs | None = None,
+    *,
+    demand: Demand | None = None,
 ) -> Quality:
     """Quality of N grasps: their shortcomings, and the probability that they hold, from contact points and normals.
 
-    Where flat faces meet, the contact is their patch, with forces at its corners (`contact_points`).
+    Friction, pressures and forces are of the task: they change in proportion to it. Where flat faces meet, the contact
+    is their patch, with forces at its corners (`contact_points`).
 
     Args:
         hand: The hand.
@@ -120,7 +125,9 @@ def quality(
         witness: Witness points (N, L) of links and object, at least of links near enough to be contacts.
         clearance: Gap (L,) in metres that links have on purpose, which is no shortcoming.
         faces: Flat faces of links and object; None: found here.
+        demand: Force and friction of the task; None: of `dexgraspbench`.
     """
+    check_kind("demand", demand, Demand | None)
     check_kind("hand", hand, Hand)
     check_kind("obj", obj, Object)
     check_kind("chain", chain, Chain)
@@ -128,21 +135,24 @@ def quality(
     check_kind("witness", witness, Witness)
     points = contacts(hand, obj, chain.links, witness, frames.T_world_link, faces)
     center = center_of_mass(obj)
-    equilibrium = Equilibrium.of(hand, chain, center)
+    demand = demand or Demand()
+    equilibrium = Equilibrium.of(hand, chain, center, PLANNING_FRICTION * demand.grip)
     axes = frames.T_world_root[:, :3, :3]
     pushes = turn_loads(PUSHES, axes)
-    pushed = points.forces_under(pushes, center, forms=equilibrium.forms_at(frames), axes=axes)
-    slippery = points.forces_under(np.zeros((len(pushes), 1, 6)), center, friction=LOW_FRICTION, axes=axes)
+    forms, none = equilibrium.forms_at(frames), np.zeros((len(pushes), 1, 6))
+    pushed = points.forces_under(pushes, center, friction=equilibrium.friction, forms=forms, axes=axes)
+    slippery = points.forces_under(none, center, friction=LOW_FRICTION * demand.grip, axes=axes)
     torque = np.zeros((len(pushes), pushes.shape[1], len(hand.joint_names)))
     in_modes = np.zeros((*torque.shape[:2], len(hand.modes)))
     for rows, some in points.groups():
-        force = HOLDING_PRESSURE_N * pushed.force[rows, :, : some.point.shape[1]]
+        force = HOLDING_PRESSURE_N * demand.effort * pushed.force[rows, :, : some.point.shape[1]]
         made = chain, take(frames, rows), force, np.nan_to_num(some.point_on_link), some.link
         torque[rows], in_modes[rows] = joint_torques(*made), mode_shares(hand, *made, give=GIVE_RAD)
     share = np.concatenate([limit_shares(hand, torque, frames.q[:, None]), in_modes], axis=-1).max(axis=1)
     force = TOTAL_PRESSURE_N * np.nan_to_num(pushed.force.mean(axis=1))
     motion = object_motion(hand, chain, frames, points, force, center, pushes / PUSH_SHARE)
-    turn = np.where(pushed.solved.all(axis=1), np.linalg.norm(motion[..., 3:], axis=-1).mean(axis=1), np.nan)
+    turn = demand.load * np.linalg.norm(motion[..., 3:], axis=-1).mean(axis=1)
+    turn = np.where(pushed.solved.all(axis=1), turn, np.nan)
     distance, L = np.where(witness.valid, witness.distance, 0.0), len(chain.links)
     wanted = np.take_along_axis(np.broadcast_to(clearance, distance.shape), points.link, axis=1)
     depth, gap = np.maximum(-distance, 0.0), slippery.pressure[:, 0] * np.maximum(points.gap - wanted, 0.0)

@@ -11,12 +11,13 @@ from grasp_refine.collision.query import Witness, query
 from grasp_refine.core.array_records import take
 from grasp_refine.forces.contact_points import SLOTS, ContactPoints, LinkPatches
 from grasp_refine.forces.squeeze_forces import SqueezeForces
-from grasp_refine.forces.torques import MIN_LIMIT, joint_torques, tensions, torque_bounds
-from grasp_refine.forces.wrench import RIDGE, ContactForces, center_of_mass
+from grasp_refine.forces.torques import MIN_LIMIT, joint_torques, limit_shares, tensions, torque_bounds
+from grasp_refine.forces.wrench import PLANNING_FRICTION, RIDGE, ContactForces, center_of_mass
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.scene.demand import TOTAL_PRESSURE_N, Demand
 from grasp_refine.scene.hand_object import HandObject, face_pairs
 from grasp_refine.scene.scene import Scene
 from grasp_refine.witness.face_patch import NUM_CORNERS, FacePairs
@@ -24,15 +25,11 @@ from grasp_refine.witness.face_patch import NUM_CORNERS, FacePairs
 CONTACTS = ContactSelection(farthest=0.0)
 """Selection of the links with a contact: all within reach, however few."""
 
-TOTAL_PRESSURE_N = 30.0
-"""Sum of the pressures of a grasp, in newtons."""
-
 MIN_PRESSURE_SHARE = 0.4
 """Least share of the pressure at which a squeeze is planned where set points end: less holds fewer objects."""
 
-SOFT_PRESSURE_N = 15.0
-"""Sum of the pressures, in newtons, that set points should allow: about the most that hands with soft actuators hold
-with."""
+SOFT_SHARE = 0.5
+"""Share of the pressure that set points should allow: about the most that hands with soft actuators hold with."""
 
 SQUEEZE_RIDGE = 4.0 * RIDGE
 """Weight of the squared forces: larger than for the residual, so that more contacts share the load."""
@@ -49,13 +46,13 @@ class Squeeze:
 
 
 def squeezed(
-    scene: Scene, prepared: HandObject | None = None, *, total: float = TOTAL_PRESSURE_N
+    scene: Scene, prepared: HandObject | None = None, *, total: float | None = None
 ) -> Float[np.ndarray, "N n"]:
     """Return the set points (N, n) of `squeeze`, with its arguments."""
     return squeeze(scene, prepared, total=total).q
 
 
-def squeeze(scene: Scene, prepared: HandObject | None = None, *, total: float = TOTAL_PRESSURE_N) -> Squeeze:
+def squeeze(scene: Scene, prepared: HandObject | None = None, *, total: float | None = None) -> Squeeze:
     """Return set points of the joints that squeeze the grasps, q + J^T f / kp, and f; the root, or the arm, stays.
 
     The forces f on the object balance best, with pressures that sum to `total`, or to less where set
@@ -68,7 +65,8 @@ def squeeze(scene: Scene, prepared: HandObject | None = None, *, total: float = 
         scene: Hand, object and grasps. The hand's `actuator` must be the actuator that moves it: for a
             simulation with another (`HandModel.actuator`), give the hand with that actuator.
         prepared: Of this hand and object; None: built here.
-        total: Sum of the pressures in newtons.
+        total: Sum of the pressures in newtons; None: `TOTAL_PRESSURE_N`, or what the task demands where that is more
+            and no actuator comes to its limit.
     """
     prepared = prepared or HandObject.of(scene)
     hand, chain = scene.hand, prepared.chain
@@ -80,14 +78,25 @@ def squeeze(scene: Scene, prepared: HandObject | None = None, *, total: float = 
     T_object = np.broadcast_to(np.eye(4), T_link.shape)
     witness = query(prepared.pairs, T_link, T_object, cutoff=CONTACTS.cutoff(hand, scene.links))
     points = contacts(hand, scene.object, scene.links, witness, T_link, prepared.faces)
-    found = grasp_forces(points, scene.object, T[:, :3, :3], ridge=SQUEEZE_RIDGE)
-    torque = _torques(hand, chain, frames, points, total * found.force)
+    found = grasp_forces(points, scene.object, T[:, :3, :3], ridge=SQUEEZE_RIDGE, grip=scene.demand.grip)
+    torque = _torques(hand, chain, frames, points, found.force)
+    pressure = _pressure(scene, torque, q) if total is None else np.full(len(q), total)
+    torque = pressure[:, None] * torque
     # Weaker forces hold more objects than partly clipped forces, which do not balance.
     share = np.maximum(pressure_shares(hand, torque, q), MIN_PRESSURE_SHARE)
     known = np.isfinite(points.point).all(axis=-1) & (found.solved & posed)[:, None]
-    vector = np.where(known[..., None], total * share[:, None, None] * found.force, np.nan)
+    vector = np.where(known[..., None], (pressure * share)[:, None, None] * found.force, np.nan)
     offsets = set_point_offsets(hand, torque * share[:, None], q)
     return Squeeze(np.where(posed[:, None], q + offsets, np.nan), _padded(scene, points, vector))
+
+
+def _pressure(scene: Scene, torque: Float[np.ndarray, "N n"], q: Float[np.ndarray, "N n"]) -> Float[np.ndarray, " N"]:
+    """Return the pressures (N,) in newtons that the task demands, given the torques (N, n) for each newton."""
+    demanded = scene.demand.pressure_n
+    if demanded == TOTAL_PRESSURE_N:
+        return np.full(len(q), TOTAL_PRESSURE_N)
+    most = 1.0 / np.maximum(limit_shares(scene.hand, torque, q).max(axis=1), 1.0 / demanded)
+    return np.maximum(most, TOTAL_PRESSURE_N)
 
 
 def _padded(scene: Scene, points: ContactPoints, vector: Float[np.ndarray, "N K 3"]) -> SqueezeForces:
@@ -101,9 +110,9 @@ def _padded(scene: Scene, points: ContactPoints, vector: Float[np.ndarray, "N K 
 
 
 def pressure_shortfall(
-    hand: Hand, obj: Object, chain: Chain, frames: Frames, points: ContactPoints
+    hand: Hand, obj: Object, chain: Chain, frames: Frames, points: ContactPoints, demand: Demand | None = None
 ) -> Float[np.ndarray, " N"]:
-    """Return the share (N,), 0 to 1, of `SOFT_PRESSURE_N` with which a hand cannot press, as its set points end.
+    """Return the share (N,), 0 to 1, of half the pressure with which a hand cannot press, as its set points end.
 
     Args:
         hand: The hand.
@@ -111,10 +120,13 @@ def pressure_shortfall(
         chain: Kinematics of the links.
         frames: Poses of the links.
         points: Contact points.
+        demand: Force and friction of the task; None: of `dexgraspbench`.
     """
     if hand.actuator.set_points is None:
         return np.zeros(len(frames.q))
-    force = SOFT_PRESSURE_N * grasp_forces(points, obj, frames.T_world_root[:, :3, :3], ridge=SQUEEZE_RIDGE).force
+    demand, axes = demand or Demand(), frames.T_world_root[:, :3, :3]
+    pressure = SOFT_SHARE * demand.pressure_n
+    force = pressure * grasp_forces(points, obj, axes, ridge=SQUEEZE_RIDGE, grip=demand.grip).force
     return 1.0 - pressure_shares(hand, _torques(hand, chain, frames, points, force), frames.q)
 
 
@@ -144,7 +156,12 @@ def pressure_shares(
 
 
 def grasp_forces(
-    points: ContactPoints, obj: Object, axes: Float[np.ndarray, "N 3 3"], *, ridge: float = RIDGE
+    points: ContactPoints,
+    obj: Object,
+    axes: Float[np.ndarray, "N 3 3"],
+    *,
+    ridge: float = RIDGE,
+    grip: float = 1.0,
 ) -> ContactForces:
     """Best contact forces of N grasps, torques taken about the object's centre of mass.
 
@@ -153,8 +170,10 @@ def grasp_forces(
         obj: The object.
         axes: Rotations of the hand, to whose axes friction pyramids are aligned.
         ridge: As for `contact_forces`.
+        grip: Friction of the task, as `Demand.grip`.
     """
-    found = points.forces_under(np.zeros((len(axes), 1, 6)), center_of_mass(obj), ridge=ridge, axes=axes)
+    loads, friction = np.zeros((len(axes), 1, 6)), PLANNING_FRICTION * grip
+    found = points.forces_under(loads, center_of_mass(obj), friction=friction, ridge=ridge, axes=axes)
     return ContactForces(*(getattr(found, field.name)[:, 0] for field in fields(found)))
 
 

@@ -13,7 +13,7 @@ STRONG_PUSH_SHARE = 0.33
 """Outer force per unit of total pressure: about the weight of 1 kg for a squeeze of `TOTAL_PRESSURE_N`."""
 
 STRONG_PUSH_FRICTION = 0.3
-"""Friction against strong pushes: that of slippery objects, more than forces are planned with."""
+"""Friction against strong pushes of objects in `dexgraspbench`: half of it, more than forces are planned with."""
 
 _CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(8, 3) / np.sqrt(3.0)
 
@@ -23,7 +23,7 @@ hand."""
 
 
 def strong_push_residual(
-    points: ContactPoints, obj: Object, axes: Float[np.ndarray, "N 3 3"]
+    points: ContactPoints, obj: Object, axes: Float[np.ndarray, "N 3 3"], grip: float = 1.0
 ) -> Float[np.ndarray, " N"]:
     """Largest wrench residual (N,) under any of `STRONG_PUSHES`, with `STRONG_PUSH_FRICTION`; NaN without forces.
 
@@ -31,8 +31,8 @@ def strong_push_residual(
         points: Contact points of N grasps.
         obj: The object.
         axes: Rotations (N, 3, 3) of the hand, in whose axes the pushes are.
+        grip: Friction of the task, as `Demand.grip`.
     """
     loads = turn_loads(STRONG_PUSHES, axes)
-    return points.forces_under(loads, center_of_mass(obj), friction=STRONG_PUSH_FRICTION, axes=axes).residual.max(
-        axis=1
-    )
+    friction = STRONG_PUSH_FRICTION * grip
+    return points.forces_under(loads, center_of_mass(obj), friction=friction, axes=axes).residual.max(axis=1)

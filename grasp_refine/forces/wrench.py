@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from grasp_refine.objects.object import Object
 
 PLANNING_FRICTION = 0.15
-"""Friction that forces are planned with: less than any expected friction, so that they hold with a margin."""
+"""Friction that forces are planned with for the protocol `dexgraspbench`: a quarter of its friction, so that they hold
+with a margin; for other tasks, as large a share of theirs."""
 
 LEVER_M = 0.05
 """Lever in metres: a torque counts like the force that makes it there."""

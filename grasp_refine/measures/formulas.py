@@ -19,9 +19,11 @@ from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.scene.contact_patches import PatchMisses, patch_misses
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
+from grasp_refine.scene.demand import Demand
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import moving_links
 from grasp_refine.scene.surroundings import SceneDepths, scene_depths
+from grasp_refine.scene.task import Task
 
 COSTLY_M = (0.0005, 0.0025)
 """Depth in metres of a link in a body of the scene, or distance of a contact from where it may be, up to which it costs
@@ -44,10 +46,18 @@ class MeasuredGrasps:
     """Joint values (N, n)."""
     geometry: Geometry
     """Distances, witness points and poses of the links."""
-    environment: Environment | None = None
-    """Bodies around the object; None: there are none."""
-    regions: ContactRegions | None = None
-    """Regions of the object in which links should touch it; None: everywhere."""
+    task: Task = Task()
+    """What the grasps must do, and where; its regions are made for the object."""
+
+    @property
+    def environment(self) -> Environment | None:
+        """Bodies around the object; None: there are none."""
+        return self.task.environment
+
+    @property
+    def regions(self) -> ContactRegions | None:
+        """Regions of the object in which links should touch it; None: everywhere."""
+        return self.task.on(self.object).regions
 
     def __len__(self) -> int:
         """Return the number of grasps."""
@@ -64,8 +74,8 @@ class MeasuredGrasps:
         known = self.known
         T = np.where(known[:, None, None], self.T_world_root, np.eye(4))
         q = np.where(known[:, None], self.q, 0.0)
-        chain = Chain(self.hand, self.links)
-        return quality(self.hand, self.object, chain, chain(T, q), self.geometry.witness)
+        chain, demand = Chain(self.hand, self.links), Demand.of(self.task, self.object)
+        return quality(self.hand, self.object, chain, chain(T, q), self.geometry.witness, demand=demand)
 
     @cached_property
     def scene_depths(self) -> SceneDepths | None:

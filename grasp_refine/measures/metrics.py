@@ -107,6 +107,6 @@ def metrics_of(scene: Scene) -> Metrics:
     first = [column for column, link in enumerate(links) if links.index(link) == column]
     geometry = replace(geometry.columns(first), contact_error=errors)
     names = tuple(links[column] for column in first)
-    grasps = MeasuredGrasps(hand, obj, names, T, q, geometry, scene.environment, scene.regions)
+    grasps = MeasuredGrasps(hand, obj, names, T, q, geometry, scene.task)
 
     return Metrics({one.name: np.where(grasps.known, one.values(grasps), np.nan) for one in VALIDATED})

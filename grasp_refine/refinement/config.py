@@ -6,7 +6,6 @@ from typing import Literal
 
 from grasp_refine.core.arguments import check_fields, check_kind
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.solvers.iterate import Solver, check_solver
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -55,8 +54,9 @@ class Config:
     clearance: float | None = None
     """Gap in metres beside the margin that links without a target keep which move and are no contact links; None:
     `clearance.OTHER_MODEL_CLEARANCE_M` where another model of the hand is simulated, else 0."""
-    pressure: float = TOTAL_PRESSURE_N
-    """Sum of the pressures of all contacts in newtons with which the squeeze presses."""
+    pressure: float | None = None
+    """Sum of the pressures of all contacts in newtons with which the squeeze presses; None: by the task, see
+    `squeeze`."""
     tolerance: float = 1e-10
     """A grasp has converged when its loss (m^2) is below this; 1e-10 is a hundredth of a millimetre."""
     seconds: float = inf
@@ -93,8 +93,8 @@ class Config:
         for name in ("width", "starts"):
             if getattr(self, name) < 1:
                 raise GraspRefineError(f"{name} must be at least 1, got {getattr(self, name)}")
-        optional = ("clearance",) if self.clearance is not None else ()
-        for name in ("margin", *optional, "pressure", "tolerance", "seed"):
+        optional = [name for name in ("clearance", "pressure") if getattr(self, name) is not None]
+        for name in ("margin", *optional, "tolerance", "seed"):
             if not 0 <= getattr(self, name) < inf:
                 raise GraspRefineError(f"{name} must be at least 0 and finite, got {getattr(self, name):g}")
         if not 0.0 < self.confidence < 1.0:

@@ -271,7 +271,7 @@ class Search:
         """Return `judge` of the grasps `rows` at some points, with what is in the way and where links should touch."""
         scene, prepared = self._scene(rows), self.prepared
         known = self.free.evaluate(rows, point, None)
-        score, pinches, value = judge(prepared, known.frames, self.clearance)
+        score, pinches, value = judge(prepared, known.frames, self.clearance, self.scene.demand)
         depth = self.free.other_depth(known)
         score, value = score + depth / DEEP, value * room_share(depth)
         if scene.regions is not None:

@@ -13,6 +13,7 @@ from grasp_refine.forces.squeeze import CONTACTS, contacts, pressure_shortfall
 from grasp_refine.forces.strong_pushes import strong_push_residual
 from grasp_refine.hands.chain import Frames
 from grasp_refine.refinement.pinches import pinch_score
+from grasp_refine.scene.demand import Demand
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
@@ -27,7 +28,7 @@ MISS_SCALE_M = 0.0025
 
 
 def judge(
-    prepared: HandObject, frames: Frames, clearance: Float[np.ndarray, " L"] | float = 0.0
+    prepared: HandObject, frames: Frames, clearance: Float[np.ndarray, " L"] | float = 0.0, demand: Demand | None = None
 ) -> tuple[Float[np.ndarray, " N"], Bool[np.ndarray, " N"], Float[np.ndarray, " N"]]:
     """Return the score (N,) of grasps, lower is better, where they have at most two contact points, and their quality.
 
@@ -35,18 +36,20 @@ def judge(
     as much as the shortcomings of `Quality` together, predicts which of several attempts holds a heavy object, or one
     in a simulation whose contacts creep. Grasps near the ends of set points, where a hand cannot press, cost as much as
     `SHORTFALL_WEIGHT`, grasps whose pressure turns fingers of linkages their `mode_residual` times `YIELDING_WEIGHT`,
-    and grasps with two fingers their `pinch_score`. The score is infinite where there are no forces.
+    and grasps with two fingers their `pinch_score`. The score is infinite where there are no forces. Force and friction
+    are of the task; without a `demand`, of `dexgraspbench`.
     """
     hand, obj, chain, faces, T = prepared.hand, prepared.object, prepared.chain, prepared.faces, frames.T_world_link
     cutoff = CONTACTS.cutoff(hand, chain.links)
     witness = query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=cutoff)
     points = contacts(hand, obj, chain.links, witness, T, faces)
-    pushed = strong_push_residual(points, obj, frames.T_world_root[:, :3, :3])
-    found = quality(hand, obj, chain, frames, witness, clearance, faces)
+    demand = demand or Demand()
+    pushed = strong_push_residual(points, obj, frames.T_world_root[:, :3, :3], demand.grip)
+    found = quality(hand, obj, chain, frames, witness, clearance, faces, demand=demand)
     score = found.score + np.nan_to_num(pushed, nan=np.inf)
-    score += SHORTFALL_WEIGHT * pressure_shortfall(hand, obj, chain, frames, points)
+    score += SHORTFALL_WEIGHT * pressure_shortfall(hand, obj, chain, frames, points, demand)
     if hand.modes:
-        score += YIELDING_WEIGHT * mode_residual(hand, obj, chain, frames, points)
+        score += YIELDING_WEIGHT * mode_residual(hand, obj, chain, frames, points, demand.grip)
     if hand.has_two_fingers:
         score += pinch_score(prepared, frames, witness, points)
     return score, np.isfinite(points.point[..., 0]).sum(axis=1) <= 2, np.nan_to_num(found.value)

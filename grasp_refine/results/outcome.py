@@ -189,7 +189,7 @@ def compare(
     gaps = np.concatenate([contact_gaps(before, geometry.witness.rows(slice(count)), selection), gap_after])
     errors = contact_errors(geometry.distance, geometry.witness, geometry.T_world_link, gaps, *targets)
     geometry = replace(geometry, contact_error=errors)
-    grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry, scene.environment, scene.regions)
+    grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry, scene.task)
     # Links that are part of the input grasp, whatever should touch besides.
     plain, near = replace(before, target_link=None, target_object=None), KEEP.touching(selection or ContactSelection())
     own = ~np.isnan(contact_gaps(plain, geometry.witness.rows(slice(count)), near))

@@ -1,6 +1,7 @@
 """Scene of a refinement: one hand, one object, and grasps."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from grasp_refine.grasps.poses import unit_poses, without_zero_quaternions
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
+from grasp_refine.scene.demand import Demand
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.task import Task
@@ -94,10 +96,15 @@ class Scene:
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
 
-    @property
+    @cached_property
     def table(self) -> Plane | None:
         """A plane that no link may go through."""
-        return self.task.plane
+        return self.task.plane_under(self.object)
+
+    @cached_property
+    def demand(self) -> Demand:
+        """Force and friction that the contacts should withstand."""
+        return Demand.of(self.task, self.object)
 
     @property
     def environment(self) -> Environment | None:

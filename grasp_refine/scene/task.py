@@ -87,6 +87,16 @@ class Task:
         assert not isinstance(self.table, int | float)
         return self.table
 
+    def plane_under(self, obj: Object) -> Plane | None:
+        """Return the plane of the table; where an object is lifted off a table at no given height, the plane below it.
+
+        The latter touches the object from below, z up in its frame.
+        """
+        lifted = self.environment is None and self.test(patches=False).tabletop
+        if self.plane is not None or not lifted:
+            return self.plane
+        return Plane(offset=float(min(piece.bounds[0, 2] for piece in obj.body.pieces)))
+
     @property
     def environment(self) -> Environment | None:
         """Bodies around the object; None: there are none."""

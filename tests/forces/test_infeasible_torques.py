@@ -11,12 +11,12 @@ from adaptive_gripper import write_adaptive_gripper
 from grasp_refine.closing.motion import closing_motion
 from grasp_refine.core.se3 import exp_so3, transform, transform_points
 from grasp_refine.forces.infeasible_torques import LEVER_M, InfeasibleTorques, mode_shares
-from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.problem.facade import refine
+from grasp_refine.scene.demand import TOTAL_PRESSURE_N
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.scene import Scene, links_of
 from grasp_refine.scene.task import Task

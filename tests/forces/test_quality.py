@@ -22,12 +22,12 @@ from grasp_refine.forces.quality import (
     Quality,
     quality,
 )
-from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N
 from grasp_refine.forces.stiffness import CONTACT_STIFFNESS, TORSION_LEVER_M
 from grasp_refine.forces.wrench import PLANNING_FRICTION
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, load_object
+from grasp_refine.scene.demand import TOTAL_PRESSURE_N
 from grasp_refine.scene.scene import links_of
 
 

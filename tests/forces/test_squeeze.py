@@ -11,9 +11,8 @@ from grasp_refine.core.array_records import join
 from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
 from grasp_refine.forces.squeeze import (
     MIN_PRESSURE_SHARE,
-    SOFT_PRESSURE_N,
+    SOFT_SHARE,
     SQUEEZE_RIDGE,
-    TOTAL_PRESSURE_N,
     contacts,
     pressure_shortfall,
     set_point_offsets,
@@ -26,6 +25,7 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.files.hand_toml import Coupled
 from grasp_refine.hands.hand import Actuator, Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
+from grasp_refine.scene.demand import TOTAL_PRESSURE_N
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from made_hands import BALL, link, links, made_hand, slide
@@ -207,7 +207,7 @@ def test_a_shortfall_is_of_the_pressure_that_both_fingers_should_make(
     witness = query(known.pairs, T, np.broadcast_to(np.eye(4), T.shape))
     points = contacts(scene.hand, ball, scene.links, witness, T)
     [found] = pressure_shortfall(scene.hand, ball, known.chain, frames, points)
-    assert found == pytest.approx(1.0 - min(2.0 * newtons / SOFT_PRESSURE_N, 1.0), abs=1e-6)
+    assert found == pytest.approx(1.0 - min(2.0 * newtons / (SOFT_SHARE * TOTAL_PRESSURE_N), 1.0), abs=1e-6)
     assert not pressure_shortfall(clamp, ball, known.chain, frames, points).any()
 
 

@@ -138,7 +138,7 @@ def measured(scene: Scene) -> Quality:
     """Return the quality of the grasps of a scene."""
     nothing = np.full((len(scene.q), len(scene.links), 3), np.nan)
     args = scene.hand, scene.object, scene.links, scene.T_world_root, scene.q
-    return MeasuredGrasps(*args, measure(*args, nothing, nothing)).quality
+    return MeasuredGrasps(*args, measure(*args, nothing, nothing), scene.task).quality
 
 
 def samples(source: Source) -> Samples:

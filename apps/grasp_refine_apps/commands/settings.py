@@ -136,7 +136,9 @@ class Settings:
     ] = Config.clearance
     """Gap beside it that all other links which move should keep, metres: another model of the hand may be thicker
     there, and would eject objects that they touch."""
-    pressure: float = Config.pressure
+    pressure: Annotated[
+        DisallowNone[float | None], arg(help_behavior_hint="(default: 30, or more where the task demands it)")
+    ] = Config.pressure
     """Newtons with which all contacts together press when the hand squeezes, as far as its actuators can. More carries
     heavier objects, and loses more objects in soft contacts."""
     reach: float = ContactSelection.reach

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.se3 import Array
 from grasp_refine.forces.equilibrium import Equilibrium
-from grasp_refine.forces.wrench import center_of_mass
+from grasp_refine.forces.wrench import PLANNING_FRICTION, center_of_mass
 from grasp_refine.refinement.solvers.rows import JointRows
 from grasp_refine.refinement.terms.motion import contact_curvatures
 from grasp_refine.refinement.terms.term import Setup, State, Term
@@ -30,7 +30,8 @@ class Wrench(Term):
     def prepare(self, setup: Setup) -> None:
         """Set up the equilibrium of the hand's grasps, and find the links that touch in any of them."""
         prepared = setup.prepared
-        self.equilibrium = Equilibrium.of(prepared.hand, prepared.chain, center_of_mass(prepared.object))
+        friction = PLANNING_FRICTION * setup.scene.demand.grip
+        self.equilibrium = Equilibrium.of(prepared.hand, prepared.chain, center_of_mass(prepared.object), friction)
         self.columns = np.flatnonzero(setup.goal.touching.any(axis=0))
 
     @staticmethod

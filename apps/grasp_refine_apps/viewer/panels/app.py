@@ -8,7 +8,6 @@ from types import TracebackType
 from typing import Any
 
 from grasp_refine.assets.embedded import resource_dir
-from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N
 from grasp_refine.hands.hand import Hand
 from grasp_refine_apps.viewer.drawing.colors import distance_legend
 from grasp_refine_apps.viewer.drawing.glyphs import newtons_per_centimetre
@@ -185,7 +184,9 @@ def _heading(state: State, controller: Controller) -> str:
         if elsewhere := elsewhere_text(controller.elsewhere(state)):
             lines.append(f'<span style="color:var(--gr-bad)">{html.escape(elsewhere)}</span>')
         if state.display.forces:
-            total = TOTAL_PRESSURE_N if state.work.config is None else state.work.config.pressure
+            config = state.work.config
+            planned = None if config is None else config.pressure
+            total = state.scene.demand.pressure_n if planned is None else planned
             scale = newtons_per_centimetre(found.prepared.object.body, total)
             lines.append(f"forces: an arrow of 1 cm is {scale:.2g} N, all press with {total:g} N")
     style = "padding:0.3em 1em;line-height:1.5;font-size:0.9em;overflow-wrap:anywhere"

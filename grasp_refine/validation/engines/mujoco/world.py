@@ -21,6 +21,7 @@ from grasp_refine.hands.files.inertia import Inertia
 from grasp_refine.hands.files.mujoco_messages import compiled, one_line, unlogged
 from grasp_refine.hands.linkages.servos import moments
 from grasp_refine.objects.object import Object
+from grasp_refine.scene.demand import object_mass
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.contact_model import Cone
@@ -134,7 +135,7 @@ def build_world(
     check_kind("hand", hand, HandModel)
     check_kind("obj", obj, Object)
     check_kind("task", task, Task)
-    protocol, table = task.test(patches=hand.patches), task.plane
+    protocol = task.test(patches=hand.patches)
     # Pushes act on an object in empty space.
     around = task.environment if protocol.tabletop else None
     spec = mujoco.MjSpec()
@@ -147,8 +148,8 @@ def build_world(
     _add_hand(spec, hand, protocol)
     if around is not None:
         _add_environment(spec, around, protocol)
-    elif protocol.tabletop:
-        _add_table(spec, table if table is not None else resting_plane(obj))
+    elif protocol.tabletop and (table := task.plane_under(obj)) is not None:
+        _add_table(spec, table)
     for geom in spec.geoms:
         geom.condim, geom.friction = 4, [protocol.friction, protocol.torsion, ROLLING_FRICTION]
     try:
@@ -164,11 +165,6 @@ def _error_with_advice(error: ValueError) -> str:
     if re.search(rf"\b{OBJECT}(_\d+)?\b", text) and re.search(r"\b(mass|inertia|volume|size)\b", text):
         return f"{text}; `mass` or `scale` may be too small for it"
     return text
-
-
-def resting_plane(obj: Object) -> Plane:
-    """Return the horizontal plane that touches the object from below, z up in its frame."""
-    return Plane(offset=float(min(piece.bounds[0, 2] for piece in obj.body.pieces)))
 
 
 def _set_options(spec: mujoco.MjSpec, protocol: Protocol, up: np.ndarray) -> None:
@@ -191,18 +187,12 @@ def _add_object(spec: mujoco.MjSpec, obj: Object, protocol: Protocol) -> float:
     body = spec.worldbody.add_body(name=OBJECT)
     body.add_freejoint(name=OBJECT)
     volumes = np.array([Inertia.of([piece], density=1.0).mass for piece in obj.body.pieces])
-    mass = protocol.object_mass(float(volumes.sum()), _size(obj))
+    mass = object_mass(protocol, obj)
     for number, (piece, share) in enumerate(zip(obj.body.pieces, volumes / volumes.sum(), strict=True)):
         geom = add_piece(spec, body, piece, f"{OBJECT}_{number}")
         geom.mass = mass * share
         geom.contype = geom.conaffinity = ALL_COLLISION_BITS
     return mass
-
-
-def _size(obj: Object) -> float:
-    """Return half of the diagonal of the bounding box of an object, metres."""
-    bounds = np.array([piece.bounds for piece in obj.body.pieces])
-    return float(np.linalg.norm(bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0))) / 2
 
 
 def _add_hand(spec: mujoco.MjSpec, hand: HandModel, protocol: Protocol) -> None:
