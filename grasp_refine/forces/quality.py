@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -47,6 +47,15 @@ MOST_YIELDING = 9.0
 YIELDING_SHARE = 0.02
 """Share of that excess in the score: with more, no more of the chosen attempts hold."""
 
+CONFIDENCE = 0.95
+"""Quality from which a grasp is good enough."""
+
+LOADS = (1e-2, 1e2)
+"""Smallest and largest load, over that of the task, that are tried for the largest one."""
+
+LOAD_BISECTIONS = 20
+"""Bisections of the largest load: it is known to a hundred thousandth."""
+
 SHORTCOMINGS = ("slippery", "pushed", "deep", "open", "strained", "yielding")
 """Fields of `Quality` that its score and its probability are made of."""
 
@@ -64,14 +73,13 @@ class Quality:
     """Deepest penetration of hand and object (N,), over `DEEP`."""
     open: Float[np.ndarray, " N"]
     """Mean gap of the contacts (N,), each counted by its pressure, over `DEEP`."""
-    strained: Float[np.ndarray, " N"]
-    """Excess (N,) of the torque of any joint under `PUSHES`, with pressures that sum to `HOLDING_PRESSURE_N`, over its
-    limit, as a share of that limit; 0 where the actuators can make all torques. Where set points end, and in modes in
-    which a linkage yields, the limit is the torque that is made after the joint gave way by `GIVE_RAD`."""
-    yielding: Float[np.ndarray, " N"]
-    """Excess (N,) of the angle by which the object turns for each newton of the pushes, their mean, over
-    `YIELDING_RAD_N`, as a share of that (see `stiffness`): 0 where contacts are far enough apart, and `MOST_YIELDING`
-    where the grasp is unstable."""
+    torque_share: Float[np.ndarray, " N"]
+    """Largest torque (N,) of any joint under `PUSHES`, with pressures that sum to `HOLDING_PRESSURE_N`, as a share of
+    its limit; 0 where the actuators can make all torques. Where set points end, and in modes in which a linkage yields,
+    the limit is the torque that is made after the joint gave way by `GIVE_RAD`."""
+    turn_share: Float[np.ndarray, " N"]
+    """Angle (N,) by which the object turns for each newton of the pushes, their mean, as a share of `YIELDING_RAD_N`
+    (see `stiffness`)."""
     weakest_push: Float[np.ndarray, "N 3"]
     """Direction (N, 3) of the push of `PUSHES` that leaves the largest residual, in the frame of the witness points."""
     deepest_link: Int[np.ndarray, " N"]
@@ -83,6 +91,33 @@ class Quality:
     modes in which linkages yield (`Hand.modes`)."""
 
     __repr__ = brief
+
+    @property
+    def strained(self) -> Float[np.ndarray, " N"]:
+        """Excess (N,) of `torque_share` over 1: 0 where the actuators can make all torques."""
+        return np.maximum(self.torque_share - 1.0, 0.0)
+
+    @property
+    def yielding(self) -> Float[np.ndarray, " N"]:
+        """Excess (N,) of `turn_share` over 1: 0 where contacts are far enough apart; `MOST_YIELDING` if unstable."""
+        return np.clip(self.turn_share - 1.0, 0.0, MOST_YIELDING)
+
+    def under(self, load: Float[np.ndarray, "*#N"] | float) -> Quality:
+        """Return the quality under forces on the object that are `load` times as large."""
+        return replace(self, torque_share=self.torque_share * load, turn_share=self.turn_share * load)
+
+    def largest_load(self, confidence: float = CONFIDENCE) -> Float[np.ndarray, " N"]:
+        """Return the largest multiples (N,) of the load, from `LOADS[0]` to `LOADS[1]`, with a quality of `confidence`.
+
+        0 where the smallest has less, and where a grasp has no forces; infinite where the largest has it.
+        """
+        low, high = (np.full(len(self.slippery), np.log(end)) for end in LOADS)
+        for _ in range(LOAD_BISECTIONS):
+            middle = 0.5 * (low + high)
+            enough = self.under(np.exp(middle)).value >= confidence
+            low, high = np.where(enough, middle, low), np.where(enough, high, middle)
+        least, most = (self.under(end).value >= confidence for end in LOADS)
+        return np.where(most, np.inf, np.where(least, np.exp(low), 0.0))
 
     @property
     def shortcomings(self) -> Float[np.ndarray, "N 6"]:
@@ -164,8 +199,8 @@ def quality(
         pushed=pushed.residual.mean(axis=1),
         deep=depth.max(axis=1, initial=0.0) / DEEP,
         open=total / DEEP,
-        strained=np.maximum(share.max(axis=1, initial=0.0) - 1.0, 0.0),
-        yielding=np.clip(turn / YIELDING_RAD_N - 1.0, 0.0, MOST_YIELDING),
+        torque_share=share.max(axis=1, initial=0.0),
+        turn_share=turn / YIELDING_RAD_N,
         weakest_push=pushes[np.arange(len(pushes)), np.nan_to_num(pushed.residual).argmax(axis=1), :3] / PUSH_SHARE,
         deepest_link=depth.argmax(axis=1),
         farthest_contact=points.link[np.arange(len(gap)), farthest],

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from grasp_refine.forces.quality import Quality, quality
+from grasp_refine.forces.quality import CONFIDENCE, Quality, quality
 from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
@@ -74,8 +74,26 @@ class MeasuredGrasps:
         known = self.known
         T = np.where(known[:, None, None], self.T_world_root, np.eye(4))
         q = np.where(known[:, None], self.q, 0.0)
-        chain, demand = Chain(self.hand, self.links), Demand.of(self.task, self.object)
-        return quality(self.hand, self.object, chain, chain(T, q), self.geometry.witness, demand=demand)
+        chain = Chain(self.hand, self.links)
+        return quality(self.hand, self.object, chain, chain(T, q), self.geometry.witness, demand=self.demand)
+
+    @cached_property
+    def demand(self) -> Demand:
+        """Force and friction of the task."""
+        return Demand.of(self.task, self.object)
+
+    @cached_property
+    def table_depths(self) -> Float[np.ndarray, "N L"] | None:
+        """Depths (N, L) of the links below the table, metres, -inf for the base of an arm; None: there is no table."""
+        table = self.task.plane_under(self.object)
+        if table is None:
+            return None
+        bodies, moving = (
+            [self.hand.links_by_name[name].solid for name in self.links],
+            moving_links(self.hand, self.links),
+        )
+        depth = -table.heights(bodies, self.geometry.T_world_link)[0]
+        return depth if moving is None else np.where(moving, depth, -np.inf)
 
     @cached_property
     def scene_depths(self) -> SceneDepths | None:
@@ -177,16 +195,28 @@ def room_share(metres: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
 
 
 def quality_value(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
-    """Return `Quality.value` (N,), less where links are in a body of the scene or touch where they should not.
+    """Return `Quality.value` (N,), less where links are in a body around the object or touch where they should not.
 
     See `room_share`; NaN where a grasp is not `known`.
     """
-    value = np.where(grasps.known, grasps.quality.value, np.nan)
+    return np.where(grasps.known, grasps.quality.value, np.nan) * _room(grasps)
+
+
+def _room(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the share (N,) of the quality that is left to grasps in a body of the scene or the table, or elsewhere."""
     wrong = [] if grasps.scene_depths is None else [grasps.scene_depths.depth]
+    wrong += [] if grasps.table_depths is None else [grasps.table_depths.max(axis=1)]
     wrong += [] if grasps.regions is None else [region_miss(grasps)]
-    for metres in wrong:
-        value = value * room_share(metres)
-    return value
+    return np.prod([np.ones(len(grasps)), *map(room_share, wrong)], axis=0)
+
+
+def largest_mass(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the largest mass (N,) in kg with which the quality is at least `CONFIDENCE`, 0 where it is with none.
+
+    Infinite where neither actuators nor the stiffness of the grasp limit it; NaN where a grasp is not `known`.
+    """
+    most = np.where(_room(grasps) >= CONFIDENCE, grasps.demand.mass_kg * grasps.quality.largest_load(), 0.0)
+    return np.where(grasps.known, most, np.nan)
 
 
 def contact_distance(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:

@@ -16,12 +16,14 @@ import numpy as np
 from grasp_refine.core.arguments import check_fields, check_kind, describe_value
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.registry import Registry
+from grasp_refine.forces.quality import CONFIDENCE
 from grasp_refine.measures.formulas import (
     arm_dexterity,
     contact_distance,
     contact_error,
     contact_error_mean,
     contact_number,
+    largest_mass,
     quality_value,
     region_miss,
     scene_penetration,
@@ -60,6 +62,7 @@ SQUARE_METRE = Unit("_m2", "mm²", 1e6, ".3g", (1e-14, 1.0), 1e-10)
 RADIAN = Unit("_rad", "°", degrees(1.0), ".1f", (1e-5, 10.0), 1e-3)
 SECOND = Unit("_s", "s", 1.0, ".2f", (1e-4, 1e4))
 COUNT = Unit("", "", 1.0, ".0f", (1.0, 1e5))
+KILOGRAM = Unit("_kg", "kg", 1.0, ".2f", (1e-2, 1e2))
 RATIO = Unit("", "", 1.0, ".3f", (1e-5, 10.0), 1e-3)
 SHARE = Unit("", "", 1.0, ".3f", (0.0, 1.0), 1e-3)
 """Number from 0 to 1."""
@@ -220,6 +223,15 @@ _OURS = (
     _refinement("iterations", "iterations", "of all starts together", COUNT, lambda of: of.iterations, "lower"),
     _refinement("queries", "queries", "narrow-phase queries", COUNT, lambda of: of.queries, "lower"),
     QUALITY,
+    Measure(
+        name="largest_mass_kg",
+        title="largest mass",
+        hint=f"mass of the object up to which the quality is {CONFIDENCE:g} or more, with the friction of the task",
+        unit=KILOGRAM,
+        formula=largest_mass,
+        better="higher",
+        head=("carries", "kg"),
+    ),
     Measure(
         name="wrench_residual",
         title="wrench residual",

@@ -6,6 +6,7 @@ from typing import Literal
 
 from grasp_refine.core.arguments import check_fields, check_kind
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.forces.quality import CONFIDENCE
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.solvers.iterate import Solver, check_solver
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -46,7 +47,7 @@ class Config:
     prefer: Literal["closest", "balanced", "strongest"] = "closest"
     """Choice among grasps: the closest one to the input that is good enough, by `Displacement`; the closest one that
     also withstands strong pushes; or the strongest one, however far it is."""
-    confidence: float = 0.95
+    confidence: float = CONFIDENCE
     """Quality, the probability of holding, from which an input grasp is good enough with `prefer` "closest": only its
     contacts are closed. Grasps that have to move keep a reserve, see `force_closure_search.MOVED_SHARE`."""
     margin: float = 0.0

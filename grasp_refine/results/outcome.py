@@ -291,10 +291,15 @@ def _weaknesses(grasps: MeasuredGrasps) -> list[str]:
         for i in np.flatnonzero(found.depth > COSTLY_M[0]).tolist():
             body = grasps.environment.bodies[found.body[i]].name
             inside[i] = f"{links[found.link[i]]} is {1e3 * found.depth[i]:.1f} mm in {body}"
+    if (depths := grasps.table_depths) is not None:
+        for i in np.flatnonzero(depths.max(axis=1) > COSTLY_M[0]).tolist():
+            at = int(depths[i].argmax())
+            inside[i] = f"{links[at]} is {1e3 * depths[i, at]:.1f} mm below the table"
     if grasps.regions is not None and (misses := grasps.contact_misses) is not None:
         for i in np.flatnonzero(misses.miss.max(axis=1) > COSTLY_M[0]).tolist():
             at = int(misses.miss[i].argmax())
             why = f"{links[at]} touches {grasps.regions.reason(misses.point[i, at])}"
             inside[i] = f"{inside[i]}; {why}" if i in inside else why
-    texts = weaknesses(grasps.quality, links, hand.joint_names, tuple(mode.joint for mode in hand.modes))
+    passive = tuple(mode.joint for mode in hand.modes)
+    texts = weaknesses(grasps.quality, links, hand.joint_names, passive, grasps.demand)
     return [inside.get(i, text) for i, text in enumerate(texts)]

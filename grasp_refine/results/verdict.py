@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from rich.text import Text
 
 from grasp_refine.core.plurals import whole
+from grasp_refine.forces.quality import CONFIDENCE
 from grasp_refine.measures.formulas import COSTLY_M
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.max_move import MaxMove
@@ -17,7 +18,7 @@ from grasp_refine.refinement.phases import CLOSE
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 
-HOLDS = Config.confidence
+HOLDS = CONFIDENCE
 """Quality, the estimated probability of holding, from which on a grasp should hold: what refinement aims at."""
 
 BAR = f"{HOLDS:g} or more"

@@ -6,6 +6,7 @@ import numpy as np
 
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.quality import DEEP, LOW_FRICTION, MOST_YIELDING, SHORTCOMINGS, YIELDING_RAD_N, Quality
+from grasp_refine.scene.demand import Demand
 
 NEGLIGIBLE_COST = 0.5
 """Log odds below which the costliest shortcoming is not reported."""
@@ -15,7 +16,11 @@ AXES = "xyz"
 
 
 def weaknesses(
-    quality: Quality, links: tuple[str, ...], joints: tuple[str, ...], passive: tuple[str, ...] = ()
+    quality: Quality,
+    links: tuple[str, ...],
+    joints: tuple[str, ...],
+    passive: tuple[str, ...] = (),
+    demand: Demand | None = None,
 ) -> list[str]:
     """Return for each of N grasps a text on its costliest shortcoming; empty where it costs little, or is not known.
 
@@ -24,7 +29,9 @@ def weaknesses(
         links: Names of the links.
         joints: Names of the independent joints.
         passive: Names of the passive joints of the modes in which linkages yield.
+        demand: Force and friction of the task; None: of `dexgraspbench`.
     """
+    demand, most = demand or Demand(), quality.largest_load()
     costs = CALIBRATION.costs(quality.shortcomings)
     known = np.isfinite(costs).all(axis=1)
     worst = np.nan_to_num(costs).argmax(axis=1)
@@ -35,7 +42,9 @@ def weaknesses(
         elif costs[i, which] < NEGLIGIBLE_COST:
             found.append("")
         else:
-            found.append(_text(quality, SHORTCOMINGS[which], i, links, joints, passive))
+            found.append(_text(quality, SHORTCOMINGS[which], i, links, joints, passive, demand))
+            if which >= len(SHORTCOMINGS) - 2 and most[i] > 0.0:
+                found[-1] = f"carries at most {demand.mass_kg * most[i]:.2g} kg: {found[-1]}"
     return found
 
 
@@ -46,10 +55,12 @@ def _text(
     links: tuple[str, ...],
     joints: tuple[str, ...],
     passive: tuple[str, ...],
+    demand: Demand,
 ) -> str:
     """Return the text on a shortcoming of grasp `i`."""
     if shortcoming == "slippery":
-        return f"with friction {LOW_FRICTION:g} its forces leave {quality.slippery[i]:.0%} of the load unbalanced"
+        friction, left = LOW_FRICTION * demand.grip, quality.slippery[i]
+        return f"with friction {friction:.2g} its forces leave {left:.0%} of the load unbalanced"
     if shortcoming == "pushed":
         return f"weak against pushes, most along {direction_text(quality.weakest_push[i])}"
     if shortcoming == "deep":
@@ -62,7 +73,7 @@ def _text(
             return f"against pushes {held} of its spring"
         return f"against pushes {joints[which]} needs {needed:.0%} of the torque that it can make"
     if shortcoming == "yielding":
-        turn = np.degrees(YIELDING_RAD_N) * (1.0 + quality.yielding[i])
+        turn = np.degrees(YIELDING_RAD_N) * (1.0 + quality.yielding[i]) / demand.load
         most = " or more" if quality.yielding[i] >= MOST_YIELDING else ""
         return (
             "its contacts are close together, or its joints soft: the object turns by about "

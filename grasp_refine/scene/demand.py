@@ -24,8 +24,10 @@ with 1, and what they press with has to serve forces in all directions, none of 
 class Demand:
     """Force on an object and friction of its contacts; by default of the protocol `dexgraspbench`."""
 
-    force_n: float = DEXGRASPBENCH.mass * DEXGRASPBENCH.acceleration
-    """Force on the object in newtons: its mass times the acceleration of pushes, or gravity."""
+    mass_kg: float = DEXGRASPBENCH.mass
+    """Mass of the object in kg."""
+    acceleration: float = DEXGRASPBENCH.acceleration
+    """Acceleration of pushes, or gravity, in m/s^2."""
     friction: float = DEXGRASPBENCH.friction
     """Coefficient of sliding friction."""
 
@@ -33,12 +35,17 @@ class Demand:
     def of(task: Task, obj: Object) -> Demand:
         """Return the demand of a task on an object."""
         protocol = task.test(patches=False)
-        return Demand(object_mass(protocol, obj) * protocol.acceleration, protocol.friction)
+        return Demand(object_mass(protocol, obj), protocol.acceleration, protocol.friction)
+
+    @property
+    def force_n(self) -> float:
+        """Force on the object in newtons: its mass times the acceleration."""
+        return self.mass_kg * self.acceleration
 
     @property
     def load(self) -> float:
         """Force, over the force of `dexgraspbench`."""
-        return self.force_n / Demand.force_n
+        return self.force_n / Demand().force_n
 
     @property
     def grip(self) -> float:

@@ -16,7 +16,9 @@ def plain(**given: float) -> Quality:
     """One grasp without shortcomings but the given ones; the thumb is deepest, the index finger farthest."""
     one = {name: np.array([given.get(name, 0.0)]) for name in SHORTCOMINGS}
     return Quality(
-        **one,
+        **{name: one[name] for name in ("slippery", "pushed", "deep", "open")},
+        torque_share=1.0 + one["strained"],
+        turn_share=1.0 + one["yielding"],
         weakest_push=np.array([[0.0, -1.0, 0.0]]),
         deepest_link=np.array([1]),
         farthest_contact=np.array([2]),

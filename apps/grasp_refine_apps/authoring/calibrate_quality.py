@@ -1,18 +1,19 @@
 """Fit the calibration of the quality: simulate grasps of many hands and generators, and print coefficients.
 
 Run `python -m grasp_refine_apps.authoring.calibrate_quality ASSETS [--samples FILE] [--every N]`, where ASSETS is a
-folder of hands, objects and grasps such as `../shared/assets`. Each grasp is simulated as it came, with its geometry
-refined, and refined from one start and from several: what people will ask about. Refined grasps of generators are also
-simulated with weak actuators, for what strains them: its weight is fitted with all others held. The reliability is
-reported on each set with a fit on all others, where a set is one generator with one hand. Grasps of the ends of long
-objects, and of a handle, have contacts close together, about which objects turn: the weight of that is fitted likewise.
+folder of hands, objects and grasps such as `../shared/assets`. Under each of `TASKS`, each grasp is simulated as it
+came, with its geometry refined, and refined for the task: what people will ask about. Refined grasps of generators are
+also simulated with weak actuators, for what strains them. The reliability is reported for each task, on each set with a
+fit on all others, where a set is one generator with one hand. Grasps of the ends of long objects, and of a handle, have
+contacts close together, about which objects turn.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,8 @@ from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.strict import STRICT
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.world import build_world
@@ -68,6 +71,12 @@ ENDS = {
     "cylinder:0.02,0.24": "above:z=0.1",
 }
 """Objects, and the end of each that is touched: of a mug its handle."""
+
+
+KILOGRAM = replace(DEXGRASPBENCH.with_mass(1.0), name="1 kg")
+"""Protocol of objects of 1 kg."""
+TASKS = (Task(DEXGRASPBENCH), Task(STRICT), Task(KILOGRAM), Task(TABLETOP))
+"""Tasks that the quality is calibrated for."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +137,8 @@ class Samples:
 
     source: np.ndarray
     """Name of the source (N,)."""
+    task: np.ndarray
+    """Name of the protocol (N,)."""
     shortcomings: np.ndarray
     """Shortcomings (N, K), as of `Quality.shortcomings`."""
     held: np.ndarray
@@ -142,29 +153,30 @@ def measured(scene: Scene) -> Quality:
 
 
 def samples(source: Source) -> Samples:
-    """Simulate the grasps of a source: input grasps, geometry refined, and refined from one and from several starts."""
+    """Simulate the grasps of a source under each task: input grasps, geometry refined, and refined for the task."""
     problem = load_problem(source.spec)
     model, config = model_of(problem.hand), Config()
     geometry = replace(config, weights=replace(config.weights, wrench=0.0))
-    shortcomings, held = [], []
-    for group in problem.groups:
-        world = build_world(model, group.scene.object, Task(DEXGRASPBENCH).over(group.scene.task))
-        prepared = HandObject.of(group.scene)
-        cases = [(group.scene, group.motion())]
-        cases += [refined(group, each, prepared) for each in (geometry, replace(config, starts=1), config)]
+    names, shortcomings, held = [], [], []
+    for group, task in product(problem.groups, TASKS):
+        group = replace(group, scene=replace(group.scene, task=task.over(group.scene.task)))
+        world, prepared = build_world(model, group.scene.object, group.scene.task), HandObject.of(group.scene)
+        cases = [(group.scene, group.motion()), *(refined(group, each, prepared) for each in (geometry, config))]
         for scene, motion in cases:
+            names += [world.protocol.name] * len(scene.q)
             shortcomings.append(measured(scene).shortcomings)
             held.append(simulate(world, motion).success)
-        for limit in WEAK_LIMITS_NM if source.weak else ():
+        for limit in WEAK_LIMITS_NM if source.weak and task == TASKS[0] else ():
             # The last case is that of refined grasps.
             actuator = replace(problem.hand.actuator, force_limit=np.full(len(problem.hand.joint_names), limit))
             weak = replace(scene, hand=replace(problem.hand, actuator=actuator))
             pressing = np.concatenate([motion.q[:, :2], squeezed(weak)[:, None]], axis=1)
-            slight = build_world(model_of(weak.hand), weak.object, Task(DEXGRASPBENCH).over(weak.task))
+            slight = build_world(model_of(weak.hand), weak.object, weak.task)
+            names += [world.protocol.name] * len(weak.q)
             shortcomings.append(measured(weak).shortcomings)
             held.append(simulate(slight, replace(motion, q=pressing)).success)
     count = sum(map(len, held))
-    return Samples(np.full(count, source.name), np.concatenate(shortcomings), np.concatenate(held))
+    return Samples(np.full(count, source.name), np.array(names), np.concatenate(shortcomings), np.concatenate(held))
 
 
 def refined(group: Group, config: Config, prepared: HandObject) -> tuple[Scene, Motion]:
@@ -247,9 +259,14 @@ def report(found: Samples) -> str:
         ends = f"{bin / BINS:.1f} to {(bin + 1) / BINS:.1f}"
         lines.append(f"  {ends}: {probability[at].mean():.3f}  {held[at].mean():.3f}  {at.sum()}")
     lines.append(f"Brier score {np.mean((probability - held) ** 2):.4f}, of the mean alone {held.var():.4f}")
-    for name in dict.fromkeys(found.source[known].tolist()):
-        at = found.source[known] == name
-        lines.append(f"  {name}: {probability[at].mean():.3f} estimated, {held[at].mean():.3f} held, {at.sum()} grasps")
+    for names in (found.task[known], found.source[known]):
+        for name in dict.fromkeys(names.tolist()):
+            at = names == name
+            error = np.mean((probability[at] - held[at]) ** 2)
+            lines.append(
+                f"  {name}: {probability[at].mean():.3f} estimated, {held[at].mean():.3f} held, {at.sum()} grasps, "
+                f"Brier {error:.4f} of {held[at].var():.4f}"
+            )
     return "\n".join(lines)
 
 
@@ -264,7 +281,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     if options.samples is not None and options.samples.exists():
         with np.load(options.samples) as file:
-            found = Samples(file["source"], file["shortcomings"], file["held"])
+            found = Samples(*(file[field.name] for field in fields(Samples)))
     else:
         parts = []
         for source in sources(options.assets, options.every):
@@ -276,7 +293,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         found = join(*parts)
         if options.samples is not None:
             with written_whole(options.samples) as path:
-                np.savez(path, source=found.source, shortcomings=found.shortcomings, held=found.held)
+                np.savez(path, **vars(found))
     print(report(found))
 
 
