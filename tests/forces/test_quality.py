@@ -27,7 +27,7 @@ from grasp_refine.forces.wrench import PLANNING_FRICTION
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, load_object
-from grasp_refine.scene.demand import TOTAL_PRESSURE_N
+from grasp_refine.scene.demand import TOTAL_PRESSURE_N, Demand
 from grasp_refine.scene.scene import links_of
 
 
@@ -65,8 +65,10 @@ def touching(hand: Hand, point: list, normal: list, distance: list | None = None
 OPPOSING = [[[0.03, 0, 0], [-0.03, 0, 0]]], [[[-1, 0, 0], [1, 0, 0]]]
 
 
-def of(hand: Hand, obj: Object, point: list, normal: list, distance: list | None = None) -> Quality:
-    return quality(hand, obj, *touching(hand, point, normal, distance))
+def of(
+    hand: Hand, obj: Object, point: list, normal: list, distance: list | None = None, demand: Demand | None = None
+) -> Quality:
+    return quality(hand, obj, *touching(hand, point, normal, distance), demand=demand)
 
 
 # closed forms
@@ -191,6 +193,50 @@ def test_a_joint_is_strained_beyond_its_limit_and_not_within(name: str, ball: Ob
     np.testing.assert_array_equal(ample.shortcomings, without.shortcomings)
     np.testing.assert_array_equal(ample.value, without.value)
     np.testing.assert_array_equal(small.shortcomings[:, :4], without.shortcomings[:, :4])
+
+
+# tasks
+
+
+@pytest.mark.parametrize("grip", [0.5, 1.5])
+def test_friction_of_the_task_is_what_a_wedge_slips_with(free: Hand, ball: Object, grip: float) -> None:
+    """What is left of each contact is sin a - mu cos a, with the small friction of the task."""
+    a = np.arctan(0.3)
+    normal = [[[-np.cos(a), 0, np.sin(a)], [np.cos(a), 0, np.sin(a)]]]
+    found = of(free, ball, OPPOSING[0], normal, demand=Demand(friction=grip * Demand.friction))
+    inscribed = np.cos(np.pi / NUM_EDGES)
+    most, least = (np.sin(a) - LOW_FRICTION * grip * share * np.cos(a) for share in (inscribed, 1.0))
+    assert least - 1e-3 <= found.slippery[0] <= most + 1e-3
+
+
+@pytest.mark.parametrize("times", [0.2, 7.0])
+def test_a_hand_so_many_times_as_strong_and_stiff_carries_as_many_times_the_mass(
+    free: Hand, ball: Object, times: float
+) -> None:
+    point, normal = (each.tolist() for each in random_grasps(12, 8))
+    hand = with_limit(free, 0.02)
+    actuator = hand.actuator
+    strong = replace(hand, actuator=replace(actuator, force_limit=times * actuator.force_limit, kp=times * actuator.kp))
+    one, other = of(hand, ball, point, normal), of(strong, ball, point, normal, demand=Demand(mass_kg=0.1 * times))
+    assert (one.strained > 0.0).any()
+    np.testing.assert_allclose(other.torque_share, one.torque_share)
+    np.testing.assert_allclose(other.under(1.0 / times).torque_share * times, one.torque_share)
+
+
+def test_up_to_the_largest_load_a_grasp_is_good_enough_and_beyond_it_is_not(free: Hand, ball: Object) -> None:
+    hand = with_limit(free, 0.05)
+    found = of(
+        hand,
+        ball,
+        [[[0.03, 0, 0], [-0.015, 0.026, 0], [-0.015, -0.026, 0]]],
+        [[[-1, 0, 0], [0.5, -0.866, 0], [0.5, 0.866, 0]]],
+    )
+    [load] = found.largest_load(confidence := 0.9)
+    assert 0.01 < load < 100.0
+    assert found.under(0.999 * load).value[0] >= confidence > found.under(1.001 * load).value[0]
+    # A grasp that even the lightest object leaves, and one that nothing limits.
+    assert of(hand, ball, *OPPOSING).largest_load(0.9999)[0] == 0.0
+    assert of(with_limit(free, np.inf), ball, *OPPOSING).under(0.0).largest_load(0.01)[0] == np.inf
 
 
 # grasps on their own

@@ -27,7 +27,9 @@ from grasp_refine.hands.hand import Actuator, Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.scene.demand import TOTAL_PRESSURE_N
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from made_hands import BALL, link, links, made_hand, slide
 from single_load import single_load_forces
 
@@ -83,6 +85,20 @@ def test_a_clamp_presses_inward_with_half_the_total_each(clamp: Hand, ball: Obje
     np.testing.assert_allclose(found, [[0.002 - 15.0 / 5.0, 5.0 / 5.0]], atol=1e-6)
     np.testing.assert_allclose(squeezed(scene, total=4.0), [[0.002 - 2.0 / 5.0, 2.0 / 5.0]], atol=1e-6)
     assert found[0, 0] < clamp.lower[0], "set points may lie beyond the limits"
+
+
+@pytest.mark.parametrize(
+    ("mass", "limit", "newtons"), [(0.1, 100.0, 15.0), (1.0, 100.0, 30.0), (1.0, 22.0, 22.0), (1.0, 5.0, 5.0)]
+)
+def test_heavier_objects_are_pressed_harder_up_to_what_actuators_make(
+    clamp: Hand, ball: Object, mass: float, limit: float, newtons: float
+) -> None:
+    """Objects of 1 kg ask for 60 N in all; the right pad makes `limit` at most, and no finger presses for it."""
+    hand = replace(clamp, actuator=replace(clamp.actuator, force_limit=np.array([100.0, limit])))
+    task = Task(PROTOCOLS["dexgraspbench"].with_mass(mass))
+    found = squeezed(Scene(hand, ball, np.eye(4)[None], np.zeros((1, 2)), task=task))
+    left = max(newtons, TOTAL_PRESSURE_N / 2)
+    np.testing.assert_allclose(found, [[-left / 5.0, newtons / 5.0]], atol=1e-6)
 
 
 def test_planned_forces_are_as_in_the_contacts(clamp: Hand, ball: Object) -> None:
