@@ -73,8 +73,9 @@ def _text(
             return f"against pushes {held} of its spring"
         return f"against pushes {joints[which]} needs {needed:.0%} of the torque that it can make"
     if shortcoming == "yielding":
-        turn = np.degrees(YIELDING_RAD_N) * (1.0 + quality.yielding[i]) / demand.load
-        most = " or more" if quality.yielding[i] >= MOST_YIELDING else ""
+        share = quality.turn_share[i] / demand.load
+        most = " or more" if share >= 1.0 + MOST_YIELDING else ""
+        turn = np.degrees(YIELDING_RAD_N) * min(share, 1.0 + MOST_YIELDING)
         return (
             "its contacts are close together, or its joints soft: the object turns by about "
             f"{turn:.1f} degrees{most} for each newton of a push"
