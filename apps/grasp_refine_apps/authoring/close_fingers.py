@@ -32,8 +32,10 @@ from grasp_refine.grasps.grasp_set import GraspSet, save_npz
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
+from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.sampling.jaw_frame import jaw_frame
 from grasp_refine.sampling.sample import sample_grasps
@@ -148,6 +150,10 @@ class HandObjectDistances:
         T = self._chain(T_object_root, q).T_world_link
         return query(self._pairs, T, np.broadcast_to(np.eye(4), T.shape)).distance
 
+GEOMETRY = Config(weights=Weights(wrench=0.0))
+"""Refinement of contacts alone, by which examples are chosen: how forces are searched for does not change them."""
+
+
 
 def close(
     hand: Hand, around: HandObjectDistances, T_object_root: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]
@@ -249,7 +255,7 @@ def example_grasps(hand: Hand, obj: Object, seed: int = 0) -> GraspSet:
         if first is None:
             continue
         T, q = scene.T_world_root[first], scene.q[first]
-        if by_hand or refine(Scene(hand, obj, T[None], q[None])).status[0] == Status.CONVERGED:
+        if by_hand or refine(Scene(hand, obj, T[None], q[None]), GEOMETRY).status[0] == Status.CONVERGED:
             kept.append((T, q))
         if len(kept) == NUM_EXAMPLES:
             break
