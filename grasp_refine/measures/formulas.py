@@ -199,10 +199,10 @@ def quality_value(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
 
     See `room_share`; NaN where a grasp is not `known`.
     """
-    return np.where(grasps.known, grasps.quality.value, np.nan) * _room(grasps)
+    return np.where(grasps.known, grasps.quality.value, np.nan) * room(grasps)
 
 
-def _room(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+def room(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     """Return the share (N,) of the quality that is left to grasps in a body of the scene or the table, or elsewhere."""
     wrong = [] if grasps.scene_depths is None else [grasps.scene_depths.depth]
     wrong += [] if grasps.table_depths is None else [grasps.table_depths.max(axis=1)]
@@ -215,7 +215,7 @@ def largest_mass(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
 
     Infinite where neither actuators nor the stiffness of the grasp limit it; NaN where a grasp is not `known`.
     """
-    most = np.where(_room(grasps) >= CONFIDENCE, grasps.demand.mass_kg * grasps.quality.largest_load(), 0.0)
+    most = np.where(room(grasps) >= CONFIDENCE, grasps.demand.mass_kg * grasps.quality.largest_load(), 0.0)
     return np.where(grasps.known, most, np.nan)
 
 

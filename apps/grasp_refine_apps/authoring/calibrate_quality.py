@@ -26,9 +26,8 @@ from grasp_refine.core.array_records import join, take
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.forces.calibration import Calibration
-from grasp_refine.forces.quality import Quality
 from grasp_refine.forces.squeeze import squeezed
-from grasp_refine.measures.formulas import MeasuredGrasps
+from grasp_refine.measures.formulas import MeasuredGrasps, room
 from grasp_refine.measures.geometry import measure
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.problem import Group
@@ -145,11 +144,12 @@ class Samples:
     """True (N,) where a grasp held."""
 
 
-def measured(scene: Scene) -> Quality:
-    """Return the quality of the grasps of a scene."""
+def shortcomings_of(scene: Scene) -> np.ndarray:
+    """Return the shortcomings (N, K) of the grasps of a scene; NaN where links are in the table."""
     nothing = np.full((len(scene.q), len(scene.links), 3), np.nan)
     args = scene.hand, scene.object, scene.links, scene.T_world_root, scene.q
-    return MeasuredGrasps(*args, measure(*args, nothing, nothing), scene.task).quality
+    grasps = MeasuredGrasps(*args, measure(*args, nothing, nothing), scene.task)
+    return np.where(room(grasps)[:, None] < 1.0, np.nan, grasps.quality.shortcomings)
 
 
 def samples(source: Source) -> Samples:
@@ -164,7 +164,7 @@ def samples(source: Source) -> Samples:
         cases = [(group.scene, group.motion()), *(refined(group, each, prepared) for each in (geometry, config))]
         for scene, motion in cases:
             names += [world.protocol.name] * len(scene.q)
-            shortcomings.append(measured(scene).shortcomings)
+            shortcomings.append(shortcomings_of(scene))
             held.append(simulate(world, motion).success)
         for limit in WEAK_LIMITS_NM if source.weak and task == TASKS[0] else ():
             # The last case is that of refined grasps.
@@ -173,7 +173,7 @@ def samples(source: Source) -> Samples:
             pressing = np.concatenate([motion.q[:, :2], squeezed(weak)[:, None]], axis=1)
             slight = build_world(model_of(weak.hand), weak.object, weak.task)
             names += [world.protocol.name] * len(weak.q)
-            shortcomings.append(measured(weak).shortcomings)
+            shortcomings.append(shortcomings_of(weak))
             held.append(simulate(slight, replace(motion, q=pressing)).success)
     count = sum(map(len, held))
     return Samples(np.full(count, source.name), np.array(names), np.concatenate(shortcomings), np.concatenate(held))

@@ -150,9 +150,9 @@ class HandObjectDistances:
         T = self._chain(T_object_root, q).T_world_link
         return query(self._pairs, T, np.broadcast_to(np.eye(4), T.shape)).distance
 
+
 GEOMETRY = Config(weights=Weights(wrench=0.0))
 """Refinement of contacts alone, by which examples are chosen: how forces are searched for does not change them."""
-
 
 
 def close(
