@@ -31,7 +31,7 @@ def test_grasps_that_lift_off_a_table_stay_above_it(problem: gr.Problem) -> None
     assert (heights(plain, 0)[:2] < -0.005).all() and (heights(plain, 1)[:2] < -0.005).any()
     assert (heights(lifting, 1) > -5e-4).all()
     np.testing.assert_array_equal(lifting.outcome.quality[:2, 0], 0.0)
-    assert (lifting.quality[:, 1] > 0.9).all() and lifting.simulate().held[:, 1].all()
+    assert (lifting.quality[:, 1] > 0.9).all() and gr.simulate(lifting).held[:, 1].all()
 
 
 def test_grasps_for_a_heavy_object_press_as_hard_as_it_takes(problem: gr.Problem) -> None:
