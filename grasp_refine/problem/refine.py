@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from grasp_refine.closing.motion import Motion, closing_motion
 from grasp_refine.hands.self_collision import ignored_overlaps
 from grasp_refine.measures.measures import SIDES
-from grasp_refine.problem.input_cache import InputCache, NoCache
+from grasp_refine.problem.input_cache import InputCache
 from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.problem.worlds import worlds_of
@@ -64,7 +64,7 @@ def refine_problem(
         config: All settings of the refinement; the defaults when None.
         engines: Names of the engines that simulate them, the first of which decides; none: they are not simulated.
         listener: Callbacks of the progress.
-        cache: Keeps prepared hands and objects for the next problem.
+        cache: Keeps hands and worlds of the simulation for the next problem.
         threads: CPU threads of the simulation; by default as many as there are.
         on_refined: Called with the refined grasps before they are simulated.
 
@@ -72,14 +72,10 @@ def refine_problem(
         GraspRefineError: a link that should touch does not exist, or MuJoCo cannot compile the hand or the world, or
             an engine cannot be used.
     """
-    config, listener, cache = config or Config(), listener or Listener(), cache or NoCache()
-
-    def prepared(group: Group) -> HandObject:
-        return cache.get("prepared", (problem.hand, group.scene.object), partial(HandObject.of, group.scene))
-
+    config, listener = config or Config(), listener or Listener()
     worlds = worlds_of(problem, cache=cache, on_note=listener.note) if engines else None
     parts = [
-        refine_group(group, config, prepared=prepared(group), progress=listener.refining(group), on_note=listener.note)
+        refine_group(group, config, progress=listener.refining(group), on_note=listener.note)
         for group in problem.groups
     ]
     outcome = Outcome.join(parts).select(problem.order)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from grasp_refine.core.arguments import check_kind
@@ -12,30 +11,24 @@ from grasp_refine.core.array_records import take
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.motion.plan import TrajectoryOptions, plan_motions
 from grasp_refine.motion.trajectory_files import PlannedTrajectories, join
-from grasp_refine.problem.input_cache import InputCache, NoCache
+from grasp_refine.problem.input_cache import InputCache
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.problem.worlds import worlds_of
-from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.protocols.scene import SCENE
 from grasp_refine.scene.task import Task
 
 
-def plan_trajectories(
-    refined: RefinedGrasps, options: TrajectoryOptions | None = None, *, cache: InputCache | None = None
-) -> PlannedTrajectories:
+def plan_trajectories(refined: RefinedGrasps, options: TrajectoryOptions | None = None) -> PlannedTrajectories:
     """Return the trajectory of each refined grasp, from the approach to the lift, checked for collisions.
 
     Args:
         refined: Result of `refine`.
         options: Lengths of approach and lift; the defaults when None.
-        cache: Keeps prepared hands and objects.
     """
-    problem, cache = refined.problem, cache or NoCache()
-    parts = []
+    problem, parts = refined.problem, []
     for group in problem.groups:
         part, scene = refined.outcome.select(group.place), group.scene
-        prepared = cache.get("prepared", (problem.hand, scene.object), partial(HandObject.of, scene))
-        planned = plan_motions(part.posed(scene), part.motion, options, prepared)
+        planned = plan_motions(part.posed(scene), part.motion, options)
         around = ((scene, group.scale),) * len(planned)
         parts.append(PlannedTrajectories(problem.hand, part.object, part.row, part.index, planned, around))
     return join(parts, problem.order)

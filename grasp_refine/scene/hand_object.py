@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -29,6 +29,9 @@ CLEARANCE, CLEARANCE_OTHERS = 0.008, 0.003
 _BLOCK_BOXES = 256
 """Bounding boxes that are computed together, which bounds the memory."""
 
+MAX_KEPT = 4
+"""Pairs of a hand and an object whose data is kept in memory."""
+
 POINT = 1e-6
 """Radius in metres of the spheres that represent points."""
 
@@ -47,8 +50,8 @@ class HandObject:
 
     @staticmethod
     def of(scene: Scene) -> HandObject:
-        """Return the hand and object of a scene."""
-        return HandObject(scene.hand, scene.object)
+        """Return the hand and object of a scene; of the last `MAX_KEPT` pairs, what is built already."""
+        return _kept(scene.hand, scene.object)
 
     @cached_property
     def bodies(self) -> tuple[Body, ...]:
@@ -161,6 +164,11 @@ class HandObject:
     def padded(self) -> PaddedHand:
         """The hand with padding, for opening it."""
         return PaddedHand(self.hand, self.object, self)
+
+
+@lru_cache(maxsize=MAX_KEPT)
+def _kept(hand: Hand, obj: Object) -> HandObject:
+    return HandObject(hand, obj)
 
 
 @dataclass(frozen=True, eq=False)
