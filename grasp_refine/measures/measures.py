@@ -230,7 +230,6 @@ _OURS = (
         unit=KILOGRAM,
         formula=largest_mass,
         better="higher",
-        head=("carries", "kg"),
     ),
     Measure(
         name="wrench_residual",
