@@ -109,7 +109,7 @@ class Quality:
     def largest_load(self, confidence: float = CONFIDENCE) -> Float[np.ndarray, " N"]:
         """Return the largest multiples (N,) of the load, from `LOADS[0]` to `LOADS[1]`, with a quality of `confidence`.
 
-        0 where the smallest has less, and where a grasp has no forces; infinite where the largest has it.
+        0 where the smallest has less, and where a grasp has no forces; the largest where that has it.
         """
         low, high = (np.full(len(self.slippery), np.log(end)) for end in LOADS)
         for _ in range(LOAD_BISECTIONS):
@@ -117,7 +117,7 @@ class Quality:
             enough = self.under(np.exp(middle)).value >= confidence
             low, high = np.where(enough, middle, low), np.where(enough, high, middle)
         least, most = (self.under(end).value >= confidence for end in LOADS)
-        return np.where(most, np.inf, np.where(least, np.exp(low), 0.0))
+        return np.where(most, LOADS[1], np.where(least, np.exp(low), 0.0))
 
     @property
     def shortcomings(self) -> Float[np.ndarray, "N 6"]:

@@ -213,7 +213,7 @@ def room(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
 def largest_mass(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     """Return the largest mass (N,) in kg with which the quality is at least `CONFIDENCE`, 0 where it is with none.
 
-    Infinite where neither actuators nor the stiffness of the grasp limit it; NaN where a grasp is not `known`.
+    At most `LOADS[1]` times that of the task; NaN where a grasp is not `known`.
     """
     most = np.where(room(grasps) >= CONFIDENCE, grasps.demand.mass_kg * grasps.quality.largest_load(), 0.0)
     return np.where(grasps.known, most, np.nan)
