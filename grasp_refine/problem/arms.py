@@ -199,7 +199,7 @@ def arm_clearance(hand: Hand, obj: Object, task: Task) -> ArmClearance:
     links = tuple(link.name for link in hand.links if link.body is not None and link.name in moving)
     bodies = tuple(hand.links_by_name[name].solid for name in links)
     chain, pairs = Chain(hand, links), Pairs.against(bodies, obj.body) if links else None
-    table, around = task.plane, None
+    table, around = task.plane_under(obj), None
     if task.environment is not None:
         around = Surroundings.measured(task.environment, bodies)
 

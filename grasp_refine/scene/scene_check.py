@@ -57,7 +57,7 @@ def surroundings_notes(scenes: Sequence[Scene]) -> tuple[str, ...]:
     Raises:
         GraspRefineError: as `check_object`.
     """
-    notes = [note for one in scenes for note in check_object(one.object, one.table, one.environment)]
+    notes = [note for one in scenes for note in check_object(one.object, one.task.plane, one.environment)]
     notes += [note for one in scenes for note in hand_notes(one)]
     if scenes and scenes[0].environment is not None:
         notes += body_notes(scenes[0].environment)
@@ -126,8 +126,8 @@ def hand_notes(scene: Scene) -> tuple[str, ...]:
         return ()
     T = Chain(hand, (hand.palm,))(posed.T_world_root[scene.posed], posed.q[scene.posed]).T_world_link
     where, depth = "", np.zeros(len(T))
-    if scene.table is not None:
-        where, depth = "the table", -scene.table.heights((palm.solid,), T)[0][:, 0]
+    if scene.task.plane is not None:
+        where, depth = "the table", -scene.task.plane.heights((palm.solid,), T)[0][:, 0]
     elif scene.environment is not None and scene.environment.bodies:
         found = scene_depths(scene.environment, (palm.solid,), T)
         where, depth = f"'{scene.environment.bodies[found.body[found.depth.argmax()]].name}'", found.depth
