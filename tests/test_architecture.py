@@ -34,6 +34,7 @@ ORDER = (
     "grasp_refine.validation.engines",
     "grasp_refine.validation.engines.mujoco",
     "grasp_refine.validation.engines.drake",
+    "grasp_refine.validation.engines.physx",
     "grasp_refine.validation",
     "grasp_refine.validation.margins",
     "grasp_refine.validation.replay",

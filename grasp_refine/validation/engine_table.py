@@ -13,7 +13,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.validation.engines.mujoco.world import World
 from grasp_refine.validation.engines.simulations import Engine
 
-EngineName = Literal["mujoco", "drake"]
+EngineName = Literal["mujoco", "drake", "physx"]
 """Names of the engines, the keys of `ENGINES`."""
 
 EngineChoice = EngineName | Literal["all"]
@@ -68,6 +68,7 @@ ENGINES: Mapping[EngineName, EngineEntry] = MappingProxyType(
             "MuJoCo", f"{_ENGINES}.mujoco.stepping", "mujoco", "mujoco", has_scenes=True, has_arms=True
         ),
         "drake": EngineEntry("Drake", f"{_ENGINES}.drake.rows", "pydrake", "drake", extra="drake"),
+        "physx": EngineEntry("PhysX", f"{_ENGINES}.physx.rows", "sapien", "sapien", extra="physx"),
     }
 )
 """Name -> engine; the first one is the default."""

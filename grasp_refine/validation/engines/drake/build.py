@@ -27,11 +27,14 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3, transform
 from grasp_refine.hands.linkages.servos import actuator_name
 from grasp_refine.validation.engines.drake.actuation import Actuation
-from grasp_refine.validation.engines.drake.contacts import let_collide, material, shape_of, touching_pairs
-from grasp_refine.validation.engines.drake.plant import Parameters, Plant, rigid
-from grasp_refine.validation.engines.drake.rigid_groups import RigidGroups, pose_of
+from grasp_refine.validation.engines.drake.contacts import let_collide, material, shape_of
+from grasp_refine.validation.engines.drake.plant import Plant, rigid
 from grasp_refine.validation.engines.drake.tendons import Tendons
+from grasp_refine.validation.engines.geom_pairs import touching_pairs
+from grasp_refine.validation.engines.mujoco.parameters import Parameters
 from grasp_refine.validation.engines.mujoco.world import HAND, HOLDER, OBJECT, World
+from grasp_refine.validation.engines.rigid_groups import RigidGroups, pose_of
+from grasp_refine.validation.engines.root_joints import ROOT_LAG_S
 
 STICTION_SPEED_M_S = 1e-4
 """Speed of slip in m/s from which on friction is fully developed: held objects creep by less, 0.2 mm in two seconds."""
@@ -46,9 +49,6 @@ ROOT_STIFFNESS = (1e6, 1e5)
 ROOT_ARMATURE = (100.0, 10.0)
 """Inertia that is added to the root's motion along and about each axis, kg and kg m^2: without it, servos this stiff
 are so ill-conditioned that the solver often does not converge."""
-
-ROOT_LAG_S = 0.038
-"""Time by which the root follows a moving set point: that of MuJoCo's weld, 2 x 0.95 x 0.02 s."""
 
 POLYNOMIAL_TERMS = 5
 """Number of coefficients of a coupling of joints in MuJoCo; Drake has the first two."""

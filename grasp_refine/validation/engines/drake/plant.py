@@ -25,22 +25,6 @@ from pydrake.multibody.tree import FixedOffsetFrame, ModelInstanceIndex, RigidBo
 from pydrake.systems.framework import Diagram
 
 
-@dataclass(frozen=True)
-class Parameters:
-    """Parameters of a plant that may differ between grasps."""
-
-    friction: float
-    """Sliding friction of all contacts."""
-    mass: float
-    """Mass of the object, kg; its inertia is in proportion."""
-    gain: float = 1.0
-    """Factor of the stiffness of all servos."""
-    force_limit: float = 1.0
-    """Factor of the force limits of all servos."""
-    contact_time: float = 1.0
-    """Factor of the time constant of contacts: their stiffness is divided by its square."""
-
-
 @dataclass(frozen=True, eq=False)
 class Plant:
     """World in Drake; it is never changed: contexts hold poses, set points and pushes."""

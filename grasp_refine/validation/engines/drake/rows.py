@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import fields, replace
 from functools import lru_cache
 from queue import Empty, SimpleQueue
 
@@ -15,12 +14,13 @@ from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.analysis import Simulator
 
-from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.validation.engines.drake.build import build_plant
-from grasp_refine.validation.engines.drake.plant import Parameters, Plant, rigid
+from grasp_refine.validation.engines.drake.plant import Plant, rigid
+from grasp_refine.validation.engines.mujoco.parameters import Parameters, parameters_of
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, StepCallback
 from grasp_refine.validation.engines.mujoco.world import OBJECT_GEOM, UP, World
+from grasp_refine.validation.engines.root_joints import root_values
 from grasp_refine.validation.engines.simulations import Engine, Simulations, Touch
 
 POSE_NUMBERS = 16
@@ -112,9 +112,8 @@ class Plants:
         Raises:
             GraspRefineError: the model has a part that Drake has no counterpart of; names it.
         """
-        self.nominal = Parameters(world.protocol.friction, world.mass)
         self._get = lru_cache(maxsize=MAX_PLANTS)(lambda parameters: Workspaces(build_plant(world, parameters)))
-        self._get(self.nominal)
+        self._get(Parameters.of(world))
 
     def simulations(
         self,
@@ -129,17 +128,8 @@ class Plants:
         Raises:
             GraspRefineError: a condition that only MuJoCo knows.
         """
-        if conditions.default_contact is not None and conditions.default_contact.any():
-            raise GraspRefineError("MuJoCo's default contact is a condition of engine mujoco, not of drake")
-        nominal = self.nominal
-        chosen = [parameters_of(conditions, row, nominal) if runs else nominal for row, runs in enumerate(running)]
+        chosen = parameters_of(world, conditions, running, engine="drake")
         return Rows(world, [self._get(parameters) for parameters in chosen], running, threads)
-
-
-def parameters_of(conditions: Conditions, row: int, nominal: Parameters) -> Parameters:
-    """Return the parameters of one grasp; `nominal` has the values that the conditions leave open."""
-    values = {name: getattr(conditions, name) for name in (field.name for field in fields(Parameters))}
-    return replace(nominal, **{name: float(value[row]) for name, value in values.items() if value is not None})
 
 
 class Rows(Simulations):
@@ -250,10 +240,3 @@ class Rows(Simulations):
 
         with ThreadPoolExecutor(self._threads) as pool:
             list(pool.map(run, rows.tolist()))
-
-
-def root_values(start: Float[np.ndarray, "4 4"], T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
-    """Return the values (6,) of the root's joints that take it from `start` to `T`: rotations about x, y, z in turn."""
-    R = start[:3, :3].T @ T[:3, :3]
-    turns = np.arctan2(-R[1, 2], R[2, 2]), np.arcsin(np.clip(R[0, 2], -1.0, 1.0)), np.arctan2(-R[0, 1], R[0, 0])
-    return np.array([*(start[:3, :3].T @ (T[:3, 3] - start[:3, 3])), *turns])

@@ -1,0 +1,52 @@
+"""Parameters of a world that may differ between grasps, for engines that build their own model of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from jaxtyping import Bool
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.validation.engines.mujoco.stepping import Conditions
+from grasp_refine.validation.engines.mujoco.world import World
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of a model that may differ between grasps."""
+
+    friction: float
+    """Sliding friction of all contacts."""
+    mass: float
+    """Mass of the object, kg; its inertia is in proportion."""
+    gain: float = 1.0
+    """Factor of the stiffness of all servos."""
+    force_limit: float = 1.0
+    """Factor of the force limits of all servos."""
+    contact_time: float = 1.0
+    """Factor of the time constant of contacts: their stiffness is divided by its square."""
+
+    @staticmethod
+    def of(world: World) -> Parameters:
+        """Return the parameters of a world."""
+        return Parameters(world.protocol.friction, world.mass)
+
+
+def parameters_of(
+    world: World, conditions: Conditions, running: Bool[np.ndarray, " N"], *, engine: str
+) -> list[Parameters]:
+    """Return the parameters of N grasps; those of the world where conditions leave them open, or nothing runs.
+
+    Raises:
+        GraspRefineError: a condition that only MuJoCo knows; names `engine`.
+    """
+    if conditions.default_contact is not None and conditions.default_contact.any():
+        raise GraspRefineError(f"MuJoCo's default contact is a condition of engine mujoco, not of {engine}")
+    nominal = Parameters.of(world)
+    given = {field.name: getattr(conditions, field.name) for field in fields(Parameters)}
+    values = {name: value for name, value in given.items() if value is not None}
+    return [
+        replace(nominal, **{name: float(value[row]) for name, value in values.items()}) if runs else nominal
+        for row, runs in enumerate(running)
+    ]
