@@ -4,7 +4,7 @@ All numbers are written out once more, as their sources have them.
 """
 
 from dataclasses import replace
-from math import radians, sqrt
+from math import pi, radians, sqrt
 
 import numpy as np
 import pytest
@@ -22,11 +22,16 @@ from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.simulation import close, push, simulate
 from grasp_refine.validation.trials import Reason
-from gripper import around, ball, gripper, lifted, weighing
+from gripper import RADIUS, around, ball, gripper, lifted, weighing
 from validation.test_protocol import critical_force, lever
 
-PUSHED = {"dexgraspbench": (0.6, 1.0), "strict": (0.3, 1.0), "graspqp": (1.0, 3.0)}
-"""Protocol -> sliding friction, and force of a push in newtons."""
+PUSHED = {
+    "dexgraspbench": (0.6, 1.0),
+    "strict": (0.3, 1.0),
+    "graspqp": (1.0, 3.0),
+    "isaacgym": (3.0, 500.0 * 4.0 / 3.0 * pi * RADIUS**3 * 9.8),
+}
+"""Protocol -> sliding friction, and force of a push on the ball in newtons."""
 
 LIFTED = {
     "tabletop": (0.6, 9.81, 0.1),
@@ -55,6 +60,7 @@ def test_all_are_tested() -> None:
         ("dexgraspbench", 2.0, 0.2, 0.05, 15, 1.0, 0.4),
         ("strict", 2.0, 0.2, 0.05, 15, 1.0, 0.4),
         ("graspqp", 0.5, 0.1, 0.03, 360, 0.5, 0.4),
+        ("isaacgym", 1.664, 0.208, 0.1, 360, 1.0, 0.4),
         ("hugs", 1.0, 0.2, 0.05, 15, 1.0, 1.0),
         ("get-a-grip", 2.0, 0.2, 0.1, 45, 1.0, 0.4),
     ],

@@ -9,13 +9,17 @@ from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.get_a_grip import GET_A_GRIP
 from grasp_refine.scene.protocols.graspqp import GRASPQP
 from grasp_refine.scene.protocols.hugs import HUGS
+from grasp_refine.scene.protocols.isaacgym import ISAACGYM
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.scene import SCENE
 from grasp_refine.scene.protocols.strict import STRICT
 from grasp_refine.scene.protocols.tabletop import TABLETOP
 
 PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
-    {protocol.name: protocol for protocol in (DEXGRASPBENCH, STRICT, TABLETOP, SCENE, HUGS, GRASPQP, GET_A_GRIP)}
+    {
+        protocol.name: protocol
+        for protocol in (DEXGRASPBENCH, STRICT, TABLETOP, SCENE, HUGS, GRASPQP, GET_A_GRIP, ISAACGYM)
+    }
 )
 """Name -> protocol."""
 

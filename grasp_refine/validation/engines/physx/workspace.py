@@ -12,7 +12,7 @@ from grasp_refine.validation.engines.physx.tendons import STIFFNESS as TENDON_ST
 POSITION_ITERATIONS = 16
 """Iterations of the solver per step: with 4, contacts creep, with 8, no longer; tendons need more."""
 
-COUPLED_ITERATIONS = 64
+COUPLED_ITERATIONS = 32
 """Iterations where tendons couple joints of the hand, which light links solve slowly."""
 
 CLOSED_ITERATIONS = 255

@@ -159,7 +159,7 @@ def test_a_coupling_transmits_torque_by_its_ratio(leader: str, follower: str, ra
     servo = f'<actuator><position joint="{leader}" kp="2"/><position joint="base" kp="20"/></actuator>'
     found = dict(zip(names, driven(model(tree, names, coupling, servo), 0.6, 0.0, steps=1000), strict=True))
     assert found[leader] == pytest.approx(2 * 0.6 / (2 + 0.5 * ratio**2), rel=0.04)
-    assert found[follower] == pytest.approx(ratio * found[leader], abs=2e-3)
+    assert found[follower] == pytest.approx(ratio * found[leader], abs=6e-3)
 
 
 @pytest.mark.parametrize("aim", [0.5, -0.9])
