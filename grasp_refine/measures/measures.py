@@ -335,6 +335,7 @@ RESERVED = frozenset(
     {
         *("schema", "hand", "base_link", "joint_names", "object", "scale", "hand_pose", "q", "status", "change"),
         "provenance",
+        "certificate",
         *("pregrasp_pose", "pregrasp_q", "squeeze_pose", "squeeze_q", "forces"),
         *("target_link", "target_point_link", "target_point_object", "contact_links", "contact_gaps", "contact_link"),
         *("contact_point_link", "contact_point_object", "contact_normal", "contact_distance"),

@@ -197,12 +197,9 @@ class RefinedGrasps:
             rows = np.flatnonzero(self.outcome.object == name)
             of_object = common | {"objects": object_entries(group for group in problem.groups if group.object == name)}
             of_object |= {} if provenance is None else provenance[name]
-            trials = None
-            if self.simulated is not None:
-                trials = self.simulated.before.select(rows), self.simulated.after.select(rows)
-            save_results(
-                path, problem.hand, problem.groups[0].scene.links, self.outcome.select(rows), of_object, trials
-            )
+            simulated = None if self.simulated is None else self.simulated.select(rows)
+            links, outcome = problem.groups[0].scene.links, self.outcome.select(rows)
+            save_results(path, problem.hand, links, outcome, of_object, simulated, problem.task)
 
     def __repr__(self) -> str:
         return f"RefinedGrasps({count_text(len(self), 'grasp')} of {self.problem.hand.name}: {tallied(self.status)})"

@@ -17,7 +17,7 @@ from grasp_refine.refinement.terms.term import Term
 from grasp_refine.results.changed import Changed
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.profile import Profile, profile_entry
-from grasp_refine.results.simulated import SimulatedGrasps, simulation_entry
+from grasp_refine.results.simulated import SimulatedGrasps, engine_entries, simulation_entry
 from grasp_refine.results.verdict import advice, should_hold
 
 
@@ -75,7 +75,11 @@ def run_document(
                 "forces": None if forces is None else forces.of_grasp(i),
                 "simulation": dict.fromkeys(SIDES)
                 if simulated is None
-                else {side: simulation_entry(getattr(simulated, side), i, simulated.protocol) for side in SIDES},
+                else {
+                    side: simulation_entry(getattr(simulated, side), i, simulated.protocol)
+                    | engine_entries(getattr(simulated, f"in_{side}"), i, simulated.protocol)
+                    for side in SIDES
+                },
             }
             for i, text in enumerate(advice(outcome, refined))
         ],

@@ -18,7 +18,10 @@ from grasp_refine.grasps.formats.folders import UNUSUAL
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, ContactLinks, GraspSet, Stage, Targets, save_npz
 from grasp_refine.grasps.provenance import read_provenance
 from grasp_refine.hands.hand import Hand
+from grasp_refine.results.certificate import certificate_entries, conditions_of
 from grasp_refine.results.outcome import Outcome
+from grasp_refine.results.simulated import SimulatedGrasps
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.trials import Reason, Trials
 
 
@@ -71,7 +74,8 @@ def save_results(
     links: tuple[str, ...],
     outcome: Outcome,
     provenance: Mapping[str, Any],
-    simulated: tuple[Trials, Trials] | None = None,
+    simulated: SimulatedGrasps | None = None,
+    task: Task | None = None,
 ) -> None:
     """Write the grasps of one object as a grasp file with further entries; the file appears whole or not at all.
 
@@ -98,6 +102,9 @@ def save_results(
         simulation_direction_before, _after      (N,)  the direction
         simulation_displacement_m_before, _after (N,)  displacement of the object at the end, metres
         simulation_angle_rad_before, _after      (N,)  rotation of the object, radians
+        held_ENGINE_before, _after               (N,)  whether it held in each engine: 1, 0; NaN: not simulated
+        reason_ENGINE_before, _after             (N,)  reason of the failure in it
+        certificate                              ()    JSON: protocol, task, version and seed of each engine
 
     Entries are NaN where a grasp has no such contact or target, and for the stages of one that could not be refined.
 
@@ -107,7 +114,8 @@ def save_results(
         links: Its links with collision geometry, as in `Scene.links`.
         outcome: The grasps.
         provenance: Provenance of the grasps.
-        simulated: Trials before and after; None: not simulated.
+        simulated: The grasps in simulation; None: not simulated.
+        task: Task of the grasps, for the certificate of a simulation.
 
     Raises:
         GraspFileError: the file cannot be written.
@@ -118,7 +126,7 @@ def save_results(
         {
             **grasps.arrays(),
             **result_entries(links, outcome),
-            **(_simulated("before", simulated[0]) | _simulated("after", simulated[1]) if simulated is not None else {}),
+            **({} if simulated is None else _verdicts(simulated, task or Task(), grasps)),
             "provenance": np.array(dumps({**provenance, "index": outcome.index, "row": outcome.row})),
         },
     )
@@ -144,6 +152,15 @@ def result_entries(links: tuple[str, ...], outcome: Outcome) -> dict[str, np.nda
         **outcome.texts(),
         **outcome.entries(),
     }
+
+
+def _verdicts(simulated: SimulatedGrasps, task: Task, grasps: GraspSet) -> dict[str, np.ndarray]:
+    """Return the entries of the trials that decide, and the certificate of all engines."""
+    # Refined grasps are simulated with the pregrasps and squeezes that the file has.
+    conditions = conditions_of(simulated.protocol, task, dict.fromkeys(OTHER_STAGES, "file"), grasps.arrays())
+    sides = {"before": simulated.in_before, "after": simulated.in_after}
+    of_first = _simulated("before", simulated.before) | _simulated("after", simulated.after)
+    return of_first | certificate_entries(conditions, sides)
 
 
 def _simulated(when: str, trials: Trials) -> dict[str, np.ndarray]:

@@ -10,9 +10,23 @@ from jaxtyping import Float, Shaped
 
 from grasp_refine.core.npz_files import NpzFile, load_npz
 from grasp_refine.measures.measures import RECORDED, SIDES
+from grasp_refine.validation.engine_table import ENGINES
 
-HELD = {f"held_{side}": f"simulation_{side}" for side in SIDES}
-"""Name of a verdict -> its entry in the files of simulated grasps."""
+
+def held_entry(engine: str, side: str) -> str:
+    """Return the entry of verdicts in an engine: 1 held, 0 lost, NaN not simulated."""
+    return f"held_{engine}_{side}"
+
+
+def reason_entry(engine: str, side: str) -> str:
+    """Return the entry of the reasons of verdicts in an engine; empty: not simulated."""
+    return f"reason_{engine}_{side}"
+
+
+HELD = {f"held_{side}": f"simulation_{side}" for side in SIDES} | {
+    held_entry(name, side): held_entry(name, side) for name in ENGINES for side in SIDES
+}
+"""Name of a verdict, of the engine that decides and of each -> its entry in the files of simulated grasps."""
 
 
 TEXTS = ("status", "change")

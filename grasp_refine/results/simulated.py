@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +11,12 @@ from jaxtyping import Bool
 from rich.console import Group
 from rich.text import Text
 
+from grasp_refine.core.array_records import take
 from grasp_refine.results.console import html_of
 from grasp_refine.results.verdict import Agreement, held_line, should_hold
 from grasp_refine.scene.protocols.protocol import Protocol
-from grasp_refine.validation.engine_table import EngineName
+from grasp_refine.validation.engine_table import ENGINES, EngineName
+from grasp_refine.validation.robustness import SEED
 from grasp_refine.validation.trials import NUMBERS, Reason, Trials
 
 
@@ -51,7 +53,21 @@ class SimulatedGrasps:
         before, after = self.held.T
         changed = int((after & ~before).sum()), int((before & ~after).sum())
         held = held_line(self.protocol.label, (int(before.sum()), int(after.sum())), *changed, len(after))
-        return [held, *reason_lines(self.after, self.protocol)]
+        return [held, *reason_lines(self.after, self.protocol), *self._other_engines()]
+
+    def _other_engines(self) -> list[Text]:
+        """Return a line on each engine but the first."""
+        return [
+            Text(
+                f"in {ENGINES[name].title}: {self.in_before[name].success.sum()} → {after.success.sum()} held, "
+                f"{(after.success == self.after.success).mean():.0%} as in {ENGINES[next(iter(self.in_after))].title}"
+            )
+            for name, after in list(self.in_after.items())[1:]
+        ]
+
+    def select(self, rows: np.ndarray) -> SimulatedGrasps:
+        """Return the grasps `rows`, in that order."""
+        return replace(self, in_before=take(self.in_before, rows), in_after=take(self.in_after, rows))
 
     def __repr__(self) -> str:
         before, after = self.held.sum(axis=0)
@@ -132,6 +148,25 @@ def simulation_entry(trials: Trials, i: int, protocol: Protocol) -> dict[str, An
             if trials.pushed_m is None
             else {"pushed_m": dict(zip(trials.neighbours, trials.pushed_m[i].tolist(), strict=True))}
         ),
+    }
+
+
+def engine_entries(engines: Mapping[EngineName, Trials], i: int, protocol: Protocol) -> dict[str, Any]:
+    """Return the verdict of each engine on one grasp for JSON, and the trials in all but the first, which decides."""
+    certificate = {
+        name: {
+            "held": trials.success[i],
+            "reason": Reason(trials.outcome[i]).label,
+            "version": ENGINES[name].version,
+            "protocol": protocol.name,
+            "seed": SEED,
+        }
+        for name, trials in engines.items()
+    }
+    further = list(engines.items())[1:]
+    return {
+        "certificate": certificate,
+        "engines": {name: simulation_entry(trials, i, protocol) for name, trials in further},
     }
 
 

@@ -18,7 +18,7 @@ from grasp_refine.core.machine import machine
 from grasp_refine.core.names import to_cell
 from grasp_refine.core.versions import versions
 from grasp_refine.measures.measures import COUNT, RECORDED, SECOND, Measure
-from grasp_refine.results.simulated import simulation_entry
+from grasp_refine.results.simulated import engine_entries, simulation_entry
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engine_agreement import EngineAgreement
@@ -131,10 +131,16 @@ def _simulation(
         **simulation_entry(validated.trials, i, protocol),
         "closed_first_m": None if validated.closed_m is None else validated.closed_m[i],
         "mass_kg": None if validated.mass is None else validated.mass[i],
-        "engines": {
-            name: simulation_entry(trials, i, protocol) for name, trials in list(validated.engines.items())[1:]
+        **engine_entries(validated.engines, i, protocol),
+        "flags": {
+            "barely": validated.barely(protocol)[i],
+            "by_squeeze": validated.by_squeeze[i],
+            "by_creep": validated.by_creep[i],
         },
-        "flags": {"barely": validated.barely(protocol)[i], "by_squeeze": validated.by_squeeze[i]},
+        "creep": {
+            "displacement_m": None if validated.creep is None else validated.creep[i, 0],
+            "angle_rad": None if validated.creep is None else validated.creep[i, 1],
+        },
         "without_squeeze": None if validated.unsqueezed is None else validated.unsqueezed[i],
         "noise_score": None if validated.noise is None else validated.noise[i],
         "by_friction": None
@@ -164,7 +170,7 @@ def flat_rows(
         row = {key: value["after"] if isinstance(value, dict) else value for key, value in entry.items()}
         row = {key: value for key, value in row.items() if key not in refinement_keys()}
         simulation = row.pop("simulation") or {}
-        for key in ("directions", "engines"):
+        for key in ("directions", "engines", "certificate"):
             simulation.pop(key, None)
         for name in engines:
             trials = part.engines.get(name)
@@ -172,8 +178,8 @@ def flat_rows(
             simulation[f"reason_{name}"] = None if trials is None else Reason(trials.outcome[i]).label
         for key, value in simulation.items():
             nested = value if isinstance(value, dict) else {"": value}
-            for name, each in nested.items():
-                row["_".join(filter(None, (key, name)))] = " ".join(each) if isinstance(each, list) else each
+            for part_name, each in nested.items():
+                row["_".join(filter(None, (key, part_name)))] = " ".join(each) if isinstance(each, list) else each
         rows.append({key: _scalar(value) for key, value in row.items()})
     return rows
 

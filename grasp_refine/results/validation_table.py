@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -26,8 +27,9 @@ from grasp_refine.results.validation_document import QUANTILES
 from grasp_refine.results.verdict import Agreement, estimate_line, held_line, should_hold
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
 from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.validation.creep import softer_options
 from grasp_refine.validation.engine_agreement import EngineAgreement
-from grasp_refine.validation.engine_table import ENGINES
+from grasp_refine.validation.engine_table import ENGINES, MUJOCO
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.validate import BARELY, MIN_CONTACT_LINKS, Validated
 
@@ -210,7 +212,7 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
         lines.append(Text("palm on a soft weld, as in DexGraspBench: it gives way under load; other protocols hold it"))
     if trials.label is not None:
         lines.append(Text(f"mean label {trials.label.mean():.3f}: share of the trials elsewhere that held"))
-    lines += reason_lines(trials, protocol)
+    lines += [*reason_lines(trials, protocol), *_creep(validated, protocol)]
     lines.append(Agreement.of(should_hold(quality), success).line())
     if success.any():
         parts = []
@@ -249,6 +251,24 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
         shares = (f"{f:g}: {_percent(h)}" for f, h in zip(frictions, validated.frictions.T, strict=True))
         lines.append(Text(f"held by friction: {', '.join(shares)}"))
     return lines
+
+
+def _creep(validated: Validated, protocol: Protocol) -> list[Text]:
+    """Return a line on lost grasps whose verdict hangs on creep, with the contacts that stop it."""
+    creeps = validated.by_creep
+    if validated.creep is None or not creeps.any():
+        return []
+    metres, radians = np.median(validated.creep[creeps], axis=0)
+    options = ", ".join(f"{name} = {json.dumps(value)}" for name, value in softer_options(protocol.contact).items())
+    lost = count_text(int((~validated.engines[MUJOCO].success).sum()), "lost grasp")
+    return [
+        Text.assemble(
+            (f"{creeps.sum()} of {lost} hang on creep", "yellow"),
+            f" of MuJoCo's contacts: they hold in firm contacts; here their objects drift by {metres * 1e3:.1f} mm and "
+            f"{np.degrees(radians):.1f} degrees (median) in {protocol.seconds:g} s with no push. To judge the grasp, "
+            f"set in the protocol: [contact] {options}",
+        )
+    ]
 
 
 def _misplaced(validated: Validated) -> list[Text]:
@@ -294,10 +314,19 @@ def _engines(validated: Validated) -> list[RenderableType]:
 
 
 def _lost_text(trials: Trials, i: int) -> str:
-    """Return the verdict on a grasp, and the directions in which it was lost."""
-    reason = Reason(trials.reason[i, trials.worst[i]])
+    """Return the verdict on a grasp: its reason, directions and moment, and the contacts that it has lost by then."""
+    worst = int(trials.worst[i])
+    reason = Reason(trials.reason[i, worst])
     lost = [name for name, each in zip(trials.directions, trials.reason[i], strict=True) if each != Reason.HELD]
-    return reason.label if not lost else f"{reason.label} {' '.join(lost)}"
+    if not lost:
+        moved = f"{trials.peak_m[i, worst] * 1e3:.1f} mm, {np.degrees(trials.peak_rad[i, worst]):.1f} deg"
+        return f"{reason.label}, moved {moved} at most"
+    text = f"{reason.label} {' '.join(lost)}"
+    if np.isnan(trials.time_s[i, worst]):
+        return text
+    left = trials.contacts_squeeze[i] & ~trials.contacts[i, worst]
+    names = [trials.links[link] for link in np.flatnonzero(left)]
+    return f"{text} after {trials.time_s[i, worst]:.1f} s, {'without ' + ', '.join(names) if names else 'all links on'}"
 
 
 def _by_squeeze(validated: Validated) -> str:

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.validation.engines.mujoco.world import World
-from grasp_refine.validation.engines.simulations import Engine
+
+if TYPE_CHECKING:
+    from grasp_refine.validation.engines.mujoco.world import World
+    from grasp_refine.validation.engines.simulations import Engine
 
 EngineName = Literal["mujoco", "drake", "physx"]
 """Names of the engines, the keys of `ENGINES`."""
@@ -83,9 +85,9 @@ def check_engine(name: str) -> EngineEntry:
     Raises:
         GraspRefineError: there is no such engine, or its package is not installed.
     """
-    if name not in ENGINES:
+    entry = next((entry for known, entry in ENGINES.items() if known == name), None)
+    if entry is None:
         raise GraspRefineError(f"engines are {', '.join(ENGINES)}, got {name!r}")
-    entry = ENGINES[name]
     entry.load()
     return entry
 

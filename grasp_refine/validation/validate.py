@@ -22,6 +22,7 @@ from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.creep import creep_of
 from grasp_refine.validation.engine_table import ENGINES, MUJOCO, EngineName, engine_of
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
@@ -86,6 +87,8 @@ class Validated:
     """True (N, F) where the grasp held with a coefficient of friction."""
     unsqueezed: Bool[np.ndarray, " N"] | None = None
     """True (N,) where the grasp held without the squeeze."""
+    creep: Float[np.ndarray, "N 2"] | None = None
+    """Drift (N, 2) of lost objects by creep in MuJoCo, as of `creep_of`; None: contacts are firm, or not MuJoCo's."""
     closed_m: Float[np.ndarray, " N"] | None = None
     """Distance (N,) by which open fingers were closed first in these trials, metres, as `Motion.closed_m`."""
 
@@ -124,6 +127,11 @@ class Validated:
             return self.success & ~self.unsqueezed
         few = self.success & (self.metrics.contact_number < MIN_CONTACT_LINKS)
         return few if self.closed_m is None else few & ~(self.closed_m > 0.0)
+
+    @property
+    def by_creep(self) -> Bool[np.ndarray, " N"]:
+        """True where MuJoCo loses a grasp (N,) by the creep of its contacts alone."""
+        return np.zeros(len(self), dtype=bool) if self.creep is None else ~np.isnan(self.creep).any(axis=1)
 
     def select(self, rows: np.ndarray) -> Validated:
         """Return the grasps `rows`, in that order."""
@@ -207,12 +215,17 @@ def validate(
         )
         for name, engine in loaded.items()
     }
+    creep = None
+    if MUJOCO in trials:
+        drifting = partial(progress, "creep without a push")
+        creep = creep_of(world, motion, trials[MUJOCO], threads=checks.threads, progress=drifting)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     return Validated(
         **labels,
         wall_s=np.full(count, wall / max(count, 1)),
         cpu_s=np.full(count, cpu / max(count, 1)),
         engines=trials,
+        creep=creep,
         mass=np.full(count, world.mass),
         closed_m=motion.closed_m,
         **_further(world, scene, motion, rows, checks, loaded[engines[0]], progress),

@@ -20,6 +20,8 @@ from grasp_refine.results.result_files import (
     result_paths,
     save_results,
 )
+from grasp_refine.results.simulated import SimulatedGrasps
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.scene import links_of
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.cli import main
@@ -70,14 +72,18 @@ def test_the_simulation_of_a_file_is_that_of_the_worst_direction(tmp_path: Path)
     after = made_trials(reason, displacement_m=number, angle_rad=number, peak_m=1e-3 * number)
     hand, path = load_hand("allegro"), tmp_path / "results.npz"
     before = made_trials(np.full((2, 2), Reason.HELD))
+    simulated = SimulatedGrasps(DEXGRASPBENCH, {"mujoco": before}, {}, {"mujoco": after})
     outcome = plain_outcome(2, links=len(links_of(hand)), q=hand.rest[None].repeat(2, axis=0))
-    save_results(path, hand, links_of(hand), outcome, {}, (before, after))
+    save_results(path, hand, links_of(hand), outcome, {}, simulated)
     with np.load(path) as entries:
         assert entries["simulation_after"].tolist() == [False, True] and entries["simulation_before"].all()
         assert entries["simulation_reason_after"].tolist() == ["moved", "held"]
         assert entries["simulation_direction_after"].tolist() == ["-x", "+x"]
         assert entries["simulation_displacement_m_after"].tolist() == [2.0, 4.0]
         assert entries["simulation_angle_rad_after"].tolist() == [2.0, 4.0]
+        assert entries["held_mujoco_after"].tolist() == [0.0, 1.0] and entries["held_mujoco_before"].all()
+        assert entries["reason_mujoco_after"].tolist() == ["moved", "held"]
+        assert list(json.loads(str(entries["certificate"]))["engines"]) == ["mujoco"]
 
 
 def test_the_urdf_is_recorded_in_result_files_only(tmp_path: Path) -> None:

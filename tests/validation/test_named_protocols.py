@@ -12,12 +12,15 @@ from mujoco.batch import Batch
 
 from grasp_refine.core.se3 import distances, transform_from_pose
 from grasp_refine.objects.object import Object, load_object
+from grasp_refine.scene.protocols.contact_model import ContactModel
 from grasp_refine.scene.protocols.get_a_grip import GET_A_GRIP
 from grasp_refine.scene.protocols.hugs import HUGS
+from grasp_refine.scene.protocols.mujoco_default import MUJOCO_DEFAULT
 from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine.scene.task import Task
+from grasp_refine.validation.creep import creep_of
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.simulation import close, push, simulate
@@ -41,6 +44,9 @@ LIFTED = {
 }
 """Protocol -> sliding friction, gravity in m/s^2, and height of the lift in metres."""
 
+DEFAULTS = ContactModel("pyramidal", impratio=1.0, noslip_iterations=0)
+"""Defaults of MuJoCo, written out once more."""
+
 ACROSS = ("+y", "-y", "+z", "-z")
 """Directions along the plates."""
 
@@ -51,7 +57,7 @@ def centred(protocol: Protocol) -> Protocol:
 
 
 def test_all_are_tested() -> None:
-    assert {*PUSHED, *LIFTED} == set(PROTOCOLS)
+    assert {*PUSHED, *LIFTED, MUJOCO_DEFAULT.name} == set(PROTOCOLS)
 
 
 @pytest.mark.parametrize(
@@ -88,6 +94,22 @@ def test_friction_holds_a_push_up_to_twice_its_share_of_the_force(name: str) -> 
         trials = simulate(world, around(factor * limit))
         assert (trials.reason[:, across] == reason).all(), factor
         assert (trials.reason[:, ~np.array(across)] == Reason.HELD).all(), "plates do not give way"
+
+
+def test_in_the_default_contacts_of_mujoco_friction_creeps() -> None:
+    """Plates that press with 1.2 times the limit lose the object slowly along them; without a push it stays."""
+    assert MUJOCO_DEFAULT == replace(PROTOCOLS["dexgraspbench"], name="mujoco-default", palm="rigid", contact=DEFAULTS)
+    world, motion = build_world(gripper(), ball(), Task(MUJOCO_DEFAULT)), around(1.2 * 1.0 / (2 * 0.6))
+    trials = simulate(world, motion)
+    across = [direction in ACROSS for direction in world.protocol.directions]
+    assert (trials.reason[:, across] == Reason.MOVED).all() and (trials.time_s[:, across] > 0.5).all()
+    creep = creep_of(world, motion, trials)
+    assert creep is not None and (creep[0] < (1e-4, 1e-3)).all()
+    # What firm contacts lose as well is no creep, and firm contacts have none.
+    slipping = around(0.8 * 1.0 / (2 * 0.6))
+    creep = creep_of(world, slipping, simulate(world, slipping))
+    assert creep is not None and np.isnan(creep).all()
+    assert creep_of(build_world(gripper(), ball(), Task(PROTOCOLS["strict"])), motion, trials) is None
 
 
 @pytest.mark.parametrize("name", LIFTED)

@@ -69,8 +69,8 @@ class Convert:
     """URDF of the hand, if it ships without one."""
     where: Annotated[tuple[str, ...], arg(metavar="CONDITION [...]", help_behavior_hint="(default: all)")] = ()
     """Only grasps that fulfil all of these conditions, on labels (success=1, energy<2) or, of refined grasps, on
-    measures (quality>=0.9, penetration_m<0.001), whether they held in simulation (held=1), and what changed
-    ("change=contacts moved")."""
+    measures (quality>=0.9, penetration_m<0.001), whether they held in simulation (held=1; held_mujoco=1 in
+    an engine), and what changed ("change=contacts moved")."""
     best: Annotated[DisallowNone[int | None], arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """Of these, only the N refined grasps of each object of highest quality."""
     as_is: Annotated[bool, arg(help_behavior_hint="")] = False

@@ -15,6 +15,7 @@ from tyro.conf import DisallowNone, Positional, arg
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_no_input, check_writable, save_json, save_text
+from grasp_refine.core.npz_files import load_npz
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.hands.self_collision import ignored_overlaps
 from grasp_refine.problem.load import Loader
@@ -22,6 +23,7 @@ from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.spec import SourceSpec
 from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.refinement.closing import closing_notes
+from grasp_refine.results.certificate import record_verdicts
 from grasp_refine.results.document import settings
 from grasp_refine.results.result_files import fingerprint
 from grasp_refine.results.simulated import closing_line
@@ -69,6 +71,9 @@ class Output:
     """Write all results of each grasp to this file, in SI units."""
     rows: OptionalFile = None
     """Write one row per grasp to this .csv or .parquet file."""
+    record: bool = False
+    """Write the verdict of each engine into FILE (our .npz): beside those of other engines, if protocol, task, closing
+    and grasps are the same; else in place of them. `convert --where "held_mujoco=1"` and the viewer filter by them."""
     overwrite: Overwrite = False
     verbose: bool = False
     """List all grasps, even if there are more than 40."""
@@ -134,6 +139,13 @@ class Validate:
             for trial in part.trials:
                 for line in self.recording.record(*trial, part.problem.hand.name, folder):
                     console.print(line, soft_wrap=True, markup=False)
+        if self.output.record:
+            for path, part in zip(files, examined, strict=True):
+                found_in, problem = part.validated, part.problem
+                tested = problem.task.test(patches=problem.hand.patches)
+                closing = problem.closing(self.simulation.closing)
+                line = record_verdicts(path, found_in.row, found_in.engines, tested, problem.task, closing)
+                console.print(line, soft_wrap=True, markup=False)
         known = any(np.isfinite(part.metrics.penetration_m).any() for part in found)
         return 0 if known else NOTHING_USABLE
 
@@ -202,6 +214,11 @@ class Validate:
             or self.margins != MarginsOptions()
         ):
             raise GraspRefineError("with --no-simulate, options of the simulation have no effect: leave them out")
+        if self.output.record and protocol is None:
+            raise GraspRefineError("--record needs the simulation: leave out --no-simulate")
+        for path in files if self.output.record else ():
+            if not path.is_file() or "hand_pose" not in load_npz(path, only=("hand_pose",)).entries:
+                raise GraspRefineError(f"--record writes into grasp files of our format (.npz), not {path}")
         engines = chosen_engines(self.simulation.engine, ())
         if MUJOCO not in engines and (self.recording.replays is not None or self.margins.margins):
             option = "--margins" if self.margins.margins else "--replays"

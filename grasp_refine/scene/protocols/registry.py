@@ -10,6 +10,7 @@ from grasp_refine.scene.protocols.get_a_grip import GET_A_GRIP
 from grasp_refine.scene.protocols.graspqp import GRASPQP
 from grasp_refine.scene.protocols.hugs import HUGS
 from grasp_refine.scene.protocols.isaacgym import ISAACGYM
+from grasp_refine.scene.protocols.mujoco_default import MUJOCO_DEFAULT
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.scene import SCENE
 from grasp_refine.scene.protocols.strict import STRICT
@@ -18,7 +19,7 @@ from grasp_refine.scene.protocols.tabletop import TABLETOP
 PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
     {
         protocol.name: protocol
-        for protocol in (DEXGRASPBENCH, STRICT, TABLETOP, SCENE, HUGS, GRASPQP, GET_A_GRIP, ISAACGYM)
+        for protocol in (DEXGRASPBENCH, STRICT, TABLETOP, SCENE, HUGS, GRASPQP, GET_A_GRIP, ISAACGYM, MUJOCO_DEFAULT)
     }
 )
 """Name -> protocol."""

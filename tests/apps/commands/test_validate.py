@@ -16,6 +16,7 @@ from grasp_refine.hands.files.inertia import Inertia
 from grasp_refine.objects.object import load_object
 from grasp_refine.results.verdict import HOLDS
 from grasp_refine.scene.protocols.protocol import AXES
+from grasp_refine.validation.engine_table import ENGINES
 from grasp_refine_apps.cli import main
 from refusals import assert_names
 
@@ -98,7 +99,7 @@ def test_a_validation_has_the_keys_of_the_contract(workplace: Path, capfd: pytes
         assert all(after[key] == worst[key] for key in worst)
         assert grasp["status"] is None and grasp["moved_palm_m"] is None
         assert grasp["quality"]["before"] is None and 0 < grasp["quality"]["after"] <= 1
-        assert set(after["flags"]) == {"barely", "by_squeeze"}
+        assert set(after["flags"]) == {"barely", "by_squeeze", "by_creep"}
         assert grasp["penetration_m"]["after"] > 0
         assert isinstance(grasp["contact_number"]["after"], int)
     assert document["config"]["files"][0]["closing"] == {"pregrasp": "own", "squeeze": "own"}
@@ -180,6 +181,30 @@ def test_engines_report_how_far_they_agree(workplace: Path, capfd: pytest.Captur
     with open("rows.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["held_drake"] for row in rows] == [str(drake) for _, drake in pairs]
+
+
+def test_a_file_carries_the_verdict_of_each_engine(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    save_npz("mine.npz", load_grasps(EXAMPLE).select([1, 3]).arrays())
+    quick = ("mine.npz", "--seconds", "0.2", "--record")
+    of_engine = {}
+    for name in ("mujoco", "drake"):
+        document = validate(*quick, "--engine", name)
+        of_engine[name] = [grasp["simulation"]["after"]["success"] for grasp in document["grasps"]]
+        (entry,) = document["grasps"][0]["simulation"]["after"]["certificate"].items()
+        assert entry[0] == name and entry[1]["version"] == ENGINES[name].version
+    assert "beside mujoco" in capfd.readouterr().out
+    for name, held in of_engine.items():
+        for wanted in (True, False):
+            condition = f"held_{name}={wanted:d}"
+            code = main(["convert", "mine.npz", "some.npz", "--to", "ours", "--overwrite", "--where", condition])
+            assert (code == 0) == (wanted in held)
+            if code == 0:
+                assert len(load_grasps("some.npz")) == held.count(wanted)
+    assert main(["validate", "mine.npz", "--record", "--no-simulate"]) == 2
+    validate("mine.npz", "--seconds", "0.4", "--record")
+    out = capfd.readouterr().out
+    assert "replaces" in out and "drake" in out and "protocol" in out
+    assert "held_drake_after" not in np.load("mine.npz").files
 
 
 def test_before_and_after_are_compared(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -24,6 +24,7 @@ from grasp_refine_apps.viewer.model.columns import (
     HELD_TEXT,
     OF_REFINEMENT,
     REASON,
+    VERDICTS,
     Column,
     numeric_columns,
 )
@@ -89,7 +90,7 @@ class Collection:
             q = np.where(refined[:, None], found.q[rows], q)
             columns = {
                 column.key: column.with_values(found.columns[column.key][rows])
-                for column in (*numeric_columns(), *OF_REFINEMENT)
+                for column in (*numeric_columns(), *OF_REFINEMENT, *VERDICTS)
             }
             columns = {key: column for key, column in columns.items() if column.known.any()}
         marks = tuple(Marks.read(marks_path(path)) for path in files) or (Marks(None),)

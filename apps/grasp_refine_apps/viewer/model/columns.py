@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Int, Shaped
 
 from grasp_refine.measures.measures import MEASURES, VALIDATED, Better, Measure
+from grasp_refine.results.result_numbers import held_entry
+from grasp_refine.validation.engine_table import ENGINES
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,4 +113,13 @@ REASON = Column("reason", "Reason", "why it did not hold", np.zeros(0, dtype=str
 HERE = Column("here", "Here", "work since it was opened: R refined, E edited, T tested", np.zeros(0, dtype=str))
 """The column of work done on the grasps in the viewer."""
 HELD_TEXT, FAILED_TEXT = "held", "failed"
-"""Values of `HELD`."""
+"""Values of `HELD` and `VERDICTS`."""
+VERDICTS = tuple(
+    Column(held_entry(name, "after"), entry.title, f"whether the grasp held in {entry.title}", np.zeros(0, dtype=str))
+    for name, entry in ENGINES.items()
+)
+"""The columns of the verdicts of each engine that result files have."""
+VERDICT_CHOICES = {
+    f"{text} in {column.label}": (column.key, text) for column in VERDICTS for text in (HELD_TEXT, FAILED_TEXT)
+}
+"""Choice of a filter -> key of the column of an engine, and its verdict."""

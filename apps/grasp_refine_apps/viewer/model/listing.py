@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Int
 
 from grasp_refine_apps.viewer.model.collection import Collection
-from grasp_refine_apps.viewer.model.columns import CHANGE, HELD, STATUS, Column
+from grasp_refine_apps.viewer.model.columns import CHANGE, HELD, STATUS, VERDICT_CHOICES, Column
 
 NUMBER, MARK, NO_MARK = "number", "mark", "no mark"
 """Keys of number and mark, which need no measure, and label of the filter for grasps without a mark."""
@@ -31,7 +31,7 @@ class Listing:
     change: str = ""
     """Change by the refinement."""
     held: str = ""
-    """Verdict of the simulation."""
+    """Verdict of the simulation, or one of `VERDICT_CHOICES`."""
     mark: str = ""
     """Mark of the grasps; `NO_MARK`: none."""
     ranges: tuple[tuple[str, float, float], ...] = ()
@@ -48,7 +48,8 @@ class Listing:
         keep = np.ones(len(collection), dtype=bool)
         if self.object:
             keep &= collection.objects == self.object
-        for key, wanted in ((STATUS.key, self.status), (CHANGE.key, self.change), (HELD.key, self.held)):
+        verdict = VERDICT_CHOICES.get(self.held, (HELD.key, self.held))
+        for key, wanted in ((STATUS.key, self.status), (CHANGE.key, self.change), verdict):
             if wanted:
                 found = collection.columns.get(key)
                 keep &= np.zeros(len(collection), dtype=bool) if found is None else found.values == wanted

@@ -13,7 +13,9 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps, match_joints
 from grasp_refine.grasps.poses import unit_poses
 from grasp_refine.problem.problem import Problem
-from grasp_refine_apps.viewer.model.columns import OF_REFINEMENT, numeric_columns
+from grasp_refine.results.certificate import CERTIFICATE
+from grasp_refine.results.result_numbers import numbers_of
+from grasp_refine_apps.viewer.model.columns import FAILED_TEXT, HELD_TEXT, OF_REFINEMENT, VERDICTS, numeric_columns
 
 BEFORE = ("hand_pose_before", "q_before")
 """Entries of result files that hold poses and joint values before refinement."""
@@ -84,6 +86,10 @@ def _columns(file: NpzFile, count: int) -> dict[str, np.ndarray]:
         for key in set(columns) & set(file.entries):
             value = file.text(key) if key in texts else file.numbers(key, allowed="nan")
             columns[key] = file.per_row(key, value, count)
+    for column in VERDICTS:
+        known = CERTIFICATE in file.entries
+        held = numbers_of(file, column.key, count) if known else np.full(count, np.nan)
+        columns[column.key] = np.select([held == 1.0, held == 0.0], [HELD_TEXT, FAILED_TEXT], "")
     return columns
 
 

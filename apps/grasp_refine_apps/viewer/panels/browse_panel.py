@@ -18,7 +18,17 @@ from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.jobs.measuring import unmeasured
 from grasp_refine_apps.viewer.model.choice import CHOICES, chosen
 from grasp_refine_apps.viewer.model.collection import Collection
-from grasp_refine_apps.viewer.model.columns import CHANGE, FAILED_TEXT, HELD, HELD_TEXT, OF_REFINEMENT, REASON, STATUS
+from grasp_refine_apps.viewer.model.columns import (
+    CHANGE,
+    FAILED_TEXT,
+    HELD,
+    HELD_TEXT,
+    OF_REFINEMENT,
+    REASON,
+    STATUS,
+    VERDICT_CHOICES,
+    VERDICTS,
+)
 from grasp_refine_apps.viewer.model.listing import (
     MARK,
     NO_MARK,
@@ -113,7 +123,7 @@ class BrowsePanel:
                 "object": gui.add_dropdown("Object", (ALL,), hint="List grasps of this object only"),
                 "status": gui.add_dropdown("Status", (ALL,), hint="Status of the refinement"),
                 "change": gui.add_dropdown("Change", (ALL,), hint="What the refinement changed"),
-                "held": gui.add_dropdown("Simulation", (ALL, HELD_TEXT, FAILED_TEXT), hint="Verdict of MuJoCo"),
+                "held": gui.add_dropdown("Simulation", (ALL,), hint="Verdict of MuJoCo here, or in the file"),
                 "mark": gui.add_dropdown("Marked", (ALL, *MARKS, NO_MARK), hint="Your mark of the grasps"),
             }
             self.download = gui.add_button("Download marks", hint="All marks as a table of comma-separated values")
@@ -324,11 +334,14 @@ class BrowsePanel:
         for key in (STATUS.key, CHANGE.key):
             column = collection.columns.get(key)
             choices[key] = (ALL,) if column is None else (ALL, *np.unique(column.values[column.known]).tolist())
+        here = (HELD_TEXT, FAILED_TEXT) if HELD.key in collection.columns else ()
+        in_file = [choice for choice, (key, _) in VERDICT_CHOICES.items() if key in collection.columns]
+        choices["held"] = (ALL, *here, *in_file)
         for name, options in choices.items():
             if self.filters[name].options != options:
                 self.filters[name].options = options
         shown = {name: len(options) > 2 for name, options in choices.items()}
-        shown |= {"held": HELD.key in collection.columns, "mark": True}
+        shown |= {"mark": True}
         for name, widget in self.filters.items():
             widget.visible, widget.value = shown[name], getattr(self._listing, name) or ALL
         self._draw_histogram(collection)
@@ -351,6 +364,8 @@ def metrics_html(collection: Collection, number: int, work: Work | None = None) 
         why = f" ({reason.text(number)})" if reason is not None and reason.known[number] else ""
         failed = held.values[number] == FAILED_TEXT
         heading.append(escape(f"{'failed' if failed else 'held'} in simulation{why}"))
+    verdicts = [column for one in VERDICTS if (column := collection.columns.get(one.key)) is not None]
+    heading += [escape(f"{one.text(number)} in {one.label}") for one in verdicts if one.known[number]]
     if collection.mark(number):
         heading.append(f"marked {escape(collection.mark(number))}")
     rows = [row for measure in COMPARED if (row := _row(collection, measure, number))]

@@ -1,12 +1,16 @@
 """Lists of grasps: sorted, filtered, and walked through."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.spec import ProblemSpec
+from grasp_refine.results.certificate import record_verdicts
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.listing import (
@@ -19,7 +23,7 @@ from grasp_refine_apps.viewer.model.listing import (
     step,
     worst,
 )
-from made_results import save_example_results
+from made_results import made_trials, save_example_results
 from open_viewer import made_trial
 
 
@@ -31,6 +35,16 @@ def collection(tmp_path_factory: pytest.TempPathFactory) -> Collection:
     held = {number: Reason.HELD if number in (1, 2) else Reason.MOVED for number in range(4)}
     found = found.with_trials({number: made_trial(reason) for number, reason in held.items()})
     return found.with_mark(2, "good").with_mark(5, "bad")
+
+
+def test_verdicts_of_engines_in_the_file_are_listed(tmp_path: Path) -> None:
+    path = save_example_results(tmp_path / "results.npz", 3)
+    held = made_trials(np.array([[Reason.HELD], [Reason.MOVED]]))
+    record_verdicts(path, np.array([0, 2]), {"drake": held}, DEXGRASPBENCH, Task(), {})
+    collection = Collection.of(load_problem(ProblemSpec(grasps=path)))
+    assert collection.columns["held_drake_after"].values.tolist() == ["held", "", "failed"]
+    for wanted, numbers in (("held in Drake", [0]), ("failed in Drake", [2]), ("held in MuJoCo", []), ("held", [])):
+        assert Listing(held=wanted).numbers(collection).tolist() == numbers, wanted
 
 
 @pytest.mark.parametrize(
