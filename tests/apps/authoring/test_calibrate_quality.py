@@ -9,6 +9,11 @@ from grasp_refine_apps.authoring.calibrate_quality import Samples, fit, left_out
 LAW = Calibration(4.0, (5.0, 3.0, 0.0, 1.0, 4.0, 2.0))
 
 
+def samples(source: np.ndarray, shortcomings: np.ndarray, held: np.ndarray) -> Samples:
+    """Grasps of one task."""
+    return Samples(source, np.full(len(held), "dexgraspbench"), shortcomings, held)
+
+
 @pytest.fixture(scope="module")
 def drawn() -> Samples:
     """30,000 grasps of four generators, which hold with the probability of the law; none has both excesses."""
@@ -17,7 +22,7 @@ def drawn() -> Samples:
     for first, columns in enumerate(([-2, -1], [-2], [-1])):
         shortcomings[first::3, columns] = 0.0
     held = rng.uniform(size=len(shortcomings)) < LAW.probability(shortcomings)
-    return Samples(np.array(["a", "b", "c", "d"])[rng.integers(0, 4, len(held))], shortcomings, held)
+    return samples(np.array(["a", "b", "c", "d"])[rng.integers(0, 4, len(held))], shortcomings, held)
 
 
 def test_the_law_is_found(drawn: Samples) -> None:
@@ -28,14 +33,14 @@ def test_the_law_is_found(drawn: Samples) -> None:
 
 def test_a_shortcoming_that_seems_to_help_gets_no_weight(drawn: Samples) -> None:
     """Deeper grasps held more often: by chance or not, depth must not raise the probability."""
-    odd = Samples(drawn.source, drawn.shortcomings, drawn.held | (drawn.shortcomings[:, 2] > 0.5))
+    odd = samples(drawn.source, drawn.shortcomings, drawn.held | (drawn.shortcomings[:, 2] > 0.5))
     assert fit(odd).weights[2] == 0.0
 
 
 @pytest.mark.parametrize("column", [-2, -1])
 def test_weak_actuators_and_close_contacts_change_nothing_for_others(drawn: Samples, column: int) -> None:
     exceeding = drawn.shortcomings[:, column] > 0.0
-    others, before = fit(Samples(drawn.source, drawn.shortcomings, drawn.held & ~exceeding)), fit(drawn)
+    others, before = fit(samples(drawn.source, drawn.shortcomings, drawn.held & ~exceeding)), fit(drawn)
     assert others.offset == before.offset and np.delete(others.weights, column) == pytest.approx(
         np.delete(before.weights, column), abs=0.0
     )
@@ -45,14 +50,14 @@ def test_weak_actuators_and_close_contacts_change_nothing_for_others(drawn: Samp
 def test_grasps_are_judged_by_the_others(drawn: Samples) -> None:
     """The verdicts of one generator are turned around: its own estimates stay, those of the others change."""
     at = drawn.source == "a"
-    turned = Samples(drawn.source, drawn.shortcomings, np.where(at, ~drawn.held, drawn.held))
+    turned = samples(drawn.source, drawn.shortcomings, np.where(at, ~drawn.held, drawn.held))
     before, after = left_out(drawn), left_out(turned)
     np.testing.assert_array_equal(before[at], after[at])
     assert (np.abs(before[~at] - after[~at]) > 0.05).mean() > 0.5
 
 
 def test_estimates_are_what_happens(drawn: Samples, tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
-    np.savez(tmp_path / "samples.npz", **{name: getattr(drawn, name) for name in ("source", "shortcomings", "held")})
+    np.savez(tmp_path / "samples.npz", **vars(drawn))
     main([str(tmp_path), "--samples", str(tmp_path / "samples.npz")])
     rows = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("  0.")]
     bins = np.array([[float(value) for value in (row[0], row[2].rstrip(":"), *row[3:])] for row in rows])

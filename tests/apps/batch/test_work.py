@@ -31,7 +31,7 @@ def planned(folder: Path, source: object, batch: str = "a batch", **defaults: ob
 
 
 def worked(shard: Shard, protocol: str | None = None) -> Done:
-    return ShardWork(QUICK, protocol is not None, {})(shard, lambda *sign: None)
+    return ShardWork(QUICK, () if protocol is None else ("mujoco",), {})(shard, lambda *sign: None)
 
 
 def content(path: Path) -> dict[str, bytes]:
@@ -61,7 +61,7 @@ def test_signs_of_life_say_how_far_it_is_and_numbers_are_those_of_the_file(grasp
         np.savez(grasps, **{**file, "object": ["rounded_box", "mug"] * 2})
     (shard,) = planned(tmp_path / "out", grasps, object_name="rounded_box").shards
     heard: list[Sign] = []
-    work = ShardWork(QUICK, True, {})  # simulates
+    work = ShardWork(QUICK, ("mujoco",), {})  # simulates
     done = work(shard, lambda what, share, finished=0: heard.append(Sign(what, share, finished)))
     with np.load(shard.path) as file:
         provenance = json.loads(str(file["provenance"]))

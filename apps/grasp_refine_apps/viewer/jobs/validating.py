@@ -142,6 +142,7 @@ def run_trial(make_world: MakeWorld, grasp: PosedGrasp, protocol: Protocol, cont
     """
     control.report(0.0, PREPARING)
     control.check()
+    grasp = replace(grasp, scene=replace(grasp.scene, task=Task(protocol).over(grasp.scene.task)))
     world = make_world(grasp.scene, protocol)
     protocol = world.protocol
     control.check()
