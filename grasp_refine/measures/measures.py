@@ -346,6 +346,8 @@ RESERVED = frozenset(
     }
 )
 """Names of other entries and columns of result files, JSON and indices, which no measure may have."""
+OF_ENGINES = ("held_", "reason_")
+"""Beginnings of the names of verdicts of each engine."""
 
 
 def _check(measure: object) -> None:
@@ -357,7 +359,7 @@ def _check(measure: object) -> None:
     check_kind("measure", measure, Measure)
     assert isinstance(measure, Measure)
     taken = RESERVED | {entry for one in _OURS for entry in _entries(one)}
-    if not taken.isdisjoint(_entries(measure)):
+    if not taken.isdisjoint(_entries(measure)) or measure.name.startswith(OF_ENGINES):
         raise GraspRefineError(f"the name of measure '{measure.name}' is taken: files have an entry of this name")
 
 
