@@ -19,7 +19,7 @@ from grasp_refine.scene.protocols.tabletop import TABLETOP
 PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
     {
         protocol.name: protocol
-        for protocol in (DEXGRASPBENCH, STRICT, TABLETOP, SCENE, HUGS, GRASPQP, GET_A_GRIP, ISAACGYM, MUJOCO_DEFAULT)
+        for protocol in (DEXGRASPBENCH, STRICT, MUJOCO_DEFAULT, TABLETOP, SCENE, HUGS, GRASPQP, ISAACGYM, GET_A_GRIP)
     }
 )
 """Name -> protocol."""
