@@ -79,24 +79,17 @@ def squeeze(scene: Scene, prepared: HandObject | None = None, *, total: float | 
     witness = query(prepared.pairs, T_link, T_object, cutoff=CONTACTS.cutoff(hand, scene.links))
     points = contacts(hand, scene.object, scene.links, witness, T_link, prepared.faces)
     found = grasp_forces(points, scene.object, T[:, :3, :3], ridge=SQUEEZE_RIDGE, grip=scene.demand.grip)
-    torque = _torques(hand, chain, frames, points, found.force)
-    pressure = _pressure(scene, torque, q) if total is None else np.full(len(q), total)
-    torque = pressure[:, None] * torque
+    pressure = np.full(len(q), scene.demand.pressure_n if total is None else total)
+    if total is None and scene.demand.pressure_n > TOTAL_PRESSURE_N:
+        share = limit_shares(hand, _torques(hand, chain, frames, points, found.force), q).max(axis=1)
+        pressure = np.clip(1.0 / np.maximum(share, MIN_LIMIT), TOTAL_PRESSURE_N, pressure)
+    torque = _torques(hand, chain, frames, points, pressure[:, None, None] * found.force)
     # Weaker forces hold more objects than partly clipped forces, which do not balance.
     share = np.maximum(pressure_shares(hand, torque, q), MIN_PRESSURE_SHARE)
     known = np.isfinite(points.point).all(axis=-1) & (found.solved & posed)[:, None]
     vector = np.where(known[..., None], (pressure * share)[:, None, None] * found.force, np.nan)
     offsets = set_point_offsets(hand, torque * share[:, None], q)
     return Squeeze(np.where(posed[:, None], q + offsets, np.nan), _padded(scene, points, vector))
-
-
-def _pressure(scene: Scene, torque: Float[np.ndarray, "N n"], q: Float[np.ndarray, "N n"]) -> Float[np.ndarray, " N"]:
-    """Return the pressures (N,) in newtons that the task demands, given the torques (N, n) for each newton."""
-    demanded = scene.demand.pressure_n
-    if demanded == TOTAL_PRESSURE_N:
-        return np.full(len(q), TOTAL_PRESSURE_N)
-    most = 1.0 / np.maximum(limit_shares(scene.hand, torque, q).max(axis=1), 1.0 / demanded)
-    return np.maximum(most, TOTAL_PRESSURE_N)
 
 
 def _padded(scene: Scene, points: ContactPoints, vector: Float[np.ndarray, "N K 3"]) -> SqueezeForces:
