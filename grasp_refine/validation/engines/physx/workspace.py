@@ -10,7 +10,7 @@ from grasp_refine.validation.engines.physx.blueprint import Blueprint, Body
 from grasp_refine.validation.engines.physx.tendons import STIFFNESS as TENDON_STIFFNESS
 
 POSITION_ITERATIONS = 16
-"""Iterations of the solver per step: with 4, contacts creep, with 8, no longer; tendons need more."""
+"""Iterations of the solver per step: twice as many change 4 of 116 verdicts, half as many 10 of 132."""
 
 COUPLED_ITERATIONS = 32
 """Iterations where tendons couple joints of the hand, which light links solve slowly."""
