@@ -16,6 +16,7 @@ from grasp_refine.grasps.grasp_set import CONTACT_KEYS, OTHER_STAGES, REQUIRED, 
 from grasp_refine.hands.files.hand_toml import ARM_TOML, HAND_TOML
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.results.verdict import should_hold
+from grasp_refine.scene.protocols.contact_model import ContactModel
 from grasp_refine.scene.protocols.protocol_file import load_protocol
 from grasp_refine.scene.protocols.strict import STRICT
 from grasp_refine.scene.scene_file import load_scene
@@ -72,8 +73,23 @@ def test_the_facade_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert names["held"].sum() >= 2 and len(load_grasps("held.npz")) == 3 and len(load_grasps("two.npz")) == 2
 
 
-TOML = ("rest_pose", "mount =", "[[job]]", "based_on =", "heavy.toml", "[[body]]", "entry-points")
+TOML = (
+    "rest_pose",
+    "mount =",
+    "[[job]]",
+    'based_on = "strict"',
+    "mujoco-default",
+    "heavy.toml",
+    "[[body]]",
+    "entry-points",
+)
 """Parts of the blocks of TOML that a test reads by themselves."""
+
+
+def test_the_protocol_on_default_contacts_is_read(tmp_path: Path):
+    (block,) = (block for block in blocks("toml") if "mujoco-default" in block)
+    (tmp_path / "own.toml").write_text(block)
+    assert load_protocol(str(tmp_path / "own.toml")).contact == ContactModel("pyramidal", 10.0, 0)
 
 
 @pytest.mark.parametrize(("language", "marks"), [("python", PYTHON), ("toml", TOML)])
@@ -125,7 +141,9 @@ def test_the_job_list_can_be_read(tmp_path: Path):
 
 
 def test_the_protocol_and_the_task_can_be_read(tmp_path: Path):
-    block, task = (next(block for block in blocks("toml") if mark in block) for mark in ("based_on =", "heavy.toml"))
+    block, task = (
+        next(block for block in blocks("toml") if mark in block) for mark in ('based_on = "strict"', "heavy.toml")
+    )
     (tmp_path / "heavy.toml").write_text(block)
     protocol = load_protocol(str(tmp_path / "heavy.toml"))
     assert protocol.name == "heavy" and protocol.friction == STRICT.friction and protocol.contact.cone == "pyramidal"

@@ -12,7 +12,7 @@ from grasp_refine.core.array_records import take
 from grasp_refine.forces.contact_points import SLOTS, ContactPoints, LinkPatches
 from grasp_refine.forces.squeeze_forces import SqueezeForces
 from grasp_refine.forces.torques import MIN_LIMIT, joint_torques, limit_shares, tensions, torque_bounds
-from grasp_refine.forces.wrench import PLANNING_FRICTION, RIDGE, ContactForces, center_of_mass
+from grasp_refine.forces.wrench import RIDGE, ContactForces, center_of_mass
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
@@ -78,7 +78,7 @@ def squeeze(scene: Scene, prepared: HandObject | None = None, *, total: float | 
     T_object = np.broadcast_to(np.eye(4), T_link.shape)
     witness = query(prepared.pairs, T_link, T_object, cutoff=CONTACTS.cutoff(hand, scene.links))
     points = contacts(hand, scene.object, scene.links, witness, T_link, prepared.faces)
-    found = grasp_forces(points, scene.object, T[:, :3, :3], ridge=SQUEEZE_RIDGE, grip=scene.demand.grip)
+    found = grasp_forces(points, scene.object, T[:, :3, :3], ridge=SQUEEZE_RIDGE)
     pressure = np.full(len(q), scene.demand.pressure_n if total is None else total)
     if total is None and scene.demand.pressure_n > TOTAL_PRESSURE_N:
         share = limit_shares(hand, _torques(hand, chain, frames, points, found.force), q).max(axis=1)
@@ -119,7 +119,7 @@ def pressure_shortfall(
         return np.zeros(len(frames.q))
     demand, axes = demand or Demand(), frames.T_world_root[:, :3, :3]
     pressure = SOFT_SHARE * demand.pressure_n
-    force = pressure * grasp_forces(points, obj, axes, ridge=SQUEEZE_RIDGE, grip=demand.grip).force
+    force = pressure * grasp_forces(points, obj, axes, ridge=SQUEEZE_RIDGE).force
     return 1.0 - pressure_shares(hand, _torques(hand, chain, frames, points, force), frames.q)
 
 
@@ -149,12 +149,7 @@ def pressure_shares(
 
 
 def grasp_forces(
-    points: ContactPoints,
-    obj: Object,
-    axes: Float[np.ndarray, "N 3 3"],
-    *,
-    ridge: float = RIDGE,
-    grip: float = 1.0,
+    points: ContactPoints, obj: Object, axes: Float[np.ndarray, "N 3 3"], *, ridge: float = RIDGE
 ) -> ContactForces:
     """Best contact forces of N grasps, torques taken about the object's centre of mass.
 
@@ -163,10 +158,8 @@ def grasp_forces(
         obj: The object.
         axes: Rotations of the hand, to whose axes friction pyramids are aligned.
         ridge: As for `contact_forces`.
-        grip: Friction of the task, as `Demand.grip`.
     """
-    loads, friction = np.zeros((len(axes), 1, 6)), PLANNING_FRICTION * grip
-    found = points.forces_under(loads, center_of_mass(obj), friction=friction, ridge=ridge, axes=axes)
+    found = points.forces_under(np.zeros((len(axes), 1, 6)), center_of_mass(obj), ridge=ridge, axes=axes)
     return ContactForces(*(getattr(found, field.name)[:, 0] for field in fields(found)))
 
 

@@ -29,7 +29,6 @@ from grasp_refine.sampling.closure_frame import ClosureFrame, closure_frame
 from grasp_refine.sampling.jaw_frame import JawFrame, jaw_frame
 from grasp_refine.sampling.placement import Placed, opposed_pairs, place_hands, sample_places
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M, contact_misses, link_groups
-from grasp_refine.scene.demand import Demand
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
@@ -141,7 +140,7 @@ def sample_grasps(
     closure, rng = closure_frame(hand), np.random.default_rng(seed)
     prepared = prepared or HandObject(hand, obj)
     around = None if environment is None else _around(prepared, environment)
-    closing = _Closing(prepared, closure, table, around, task.regions, Demand.of(task, obj).grip)
+    closing = _Closing(prepared, closure, table, around, task.regions)
     draw = _drawing(closing, hand, jaw_frame(hand, closure), rng)
     found, total, tried = [], 0, 0
     most = max(MIN_TRIES, TRIES_PER_GRASP * count) * (1 if closing.around is None else TRIES_AMONG_BODIES)
@@ -222,7 +221,7 @@ def _score(closing: _Closing, hands: Placed) -> _Scored:
     good = good[closing.is_free(proximity.frames.T_world_link[good])]
     geometry = proximity.witness.rows(good), proximity.frames.T_world_link[good], prepared.faces
     points = contacts(prepared.hand, prepared.object, links, *geometry)
-    forces = grasp_forces(points, prepared.object, hands.T[good, :3, :3], grip=closing.grip)
+    forces = grasp_forces(points, prepared.object, hands.T[good, :3, :3])
     score = forces.residual + SINGLE_GROUP_PENALTY / groups[good] + worst[good] / MISS_SCALE_M
     hands = _Scored(hands.T[good], hands.q[good], hands.way[good], score)
     return take(hands, forces.solved)
@@ -269,8 +268,6 @@ class _Closing:
     table: Plane | None
     around: Surroundings | None = None
     regions: ContactRegions | None = None
-    grip: float = 1.0
-    """Friction of the task, as `Demand.grip`."""
 
     @cached_property
     def seeds(self) -> Int[np.ndarray, " S"]:

@@ -230,6 +230,7 @@ def test_the_stages_of_a_refinement_sum_to_its_time_and_change_nothing(config: C
     torch.set_num_threads(1)
     scene = allegro()
     plain = refine(scene, config)
+    scene = allegro()  # what is built for the first one is kept
     watch, start = Stopwatch(), time.process_time()
     with watch:
         found = refine(scene, config)

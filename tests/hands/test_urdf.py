@@ -9,6 +9,7 @@ import pytest
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.files.urdf import read_urdf
+from grasp_refine.scene.scene import MAX_MAGNITUDE
 from refusals import assert_names, refused
 from running_processes import PATIENCE_S
 
@@ -99,6 +100,7 @@ def inertial(text: str) -> str:
         (robot('<origin xyz="0 1e300 0"/>'), ("'a'", '<origin xyz="0 1e300 0">', "1000 m")),
         (robot('<origin rpy="0 0 inf"/>'), ("'a'", '<origin rpy="0 0 inf">', "3")),
         (robot('<limit lower="-inf" upper="1"/>'), ("'a'", '<limit lower="-inf">')),
+        (robot('<limit lower="1_0" upper="20"/>'), ("'a'", '<limit lower="1_0">')),
         (robot('<limit lower="0" upper="${pi}"/>'), ('<limit upper="${pi}">',)),
         (robot('<mimic multiplier="1"/>'), ("'a'", "<mimic>", "'joint'")),
         (robot('<mimic joint="b" offset="1 2"/>'), ('<mimic offset="1 2">',)),
@@ -121,6 +123,13 @@ def inertial(text: str) -> str:
 def test_malformed_files_say_what_is_wrong_in_one_line(tmp_path: Path, text: str | bytes, named: tuple[str, ...]):
     with refused(HandError, "hand.urdf", *named):
         read_urdf(write(tmp_path, text))
+
+
+@pytest.mark.parametrize("none", ["1e16", "1e300"])
+def test_limits_that_stand_for_none_are_as_large_as_joint_values_can_be(tmp_path: Path, none: str) -> None:
+    text = robot(f'<limit lower="-{none}" upper="{none}"/>')
+    [joint] = read_urdf(write(tmp_path, text)).joints
+    assert (joint.limit.lower, joint.limit.upper) == (-MAX_MAGNITUDE, MAX_MAGNITUDE)
 
 
 @pytest.mark.parametrize("kind", ["entity", "parameter entity", "dtd"])

@@ -63,6 +63,9 @@ MAX_OFFSET_M = 1e3
 MAX_INERTIA = 1e9
 """Largest mass in kg, and moment of inertia in kg m^2, beyond that of any robot."""
 
+MAX_JOINT_VALUE = 1e6
+"""Largest joint value in radians or metres: no grasp has a larger one (`scene.MAX_MAGNITUDE`)."""
+
 NUMBER_COUNTS: dict[str, dict[str, tuple[int, ...]]] = {
     "origin": {"xyz": (3,), "rpy": (3,)},
     "axis": {"xyz": (3,)},
@@ -171,7 +174,8 @@ def _check(element: _Element, where: str) -> None:
 def _numbers(element: _Element, name: str, counts: tuple[int, ...], where: str) -> str:
     text = element.get(name)
     try:
-        values = [float(word) for word in text.replace(",", " ").split()]
+        # Python reads 1_0 as 10.
+        values = [] if "_" in text else [float(word) for word in text.replace(",", " ").split()]
     except ValueError:
         values = []
     if len(values) not in counts or not np.isfinite(values).all():
@@ -181,6 +185,9 @@ def _numbers(element: _Element, name: str, counts: tuple[int, ...], where: str) 
         raise HandError(f'{where}: <origin xyz="{text}"> is no place in a hand, above {MAX_OFFSET_M:g} m')
     if element.tag in ("mass", "inertia") and max(map(abs, values)) > MAX_INERTIA:
         raise HandError(f'{where}: <{element.tag} {name}="{text}"> is no mass or inertia, above {MAX_INERTIA:g}')
+    if element.tag == "limit" and name in ("lower", "upper"):
+        # Files write limits such as 1e16 for none.
+        values = np.clip(values, -MAX_JOINT_VALUE, MAX_JOINT_VALUE).tolist()
     return " ".join(map(repr, values))
 
 

@@ -193,7 +193,7 @@ def test_hands_that_lift_stay_in_the_picture(view: View, viewer: Controller) -> 
     T_object = np.tile(np.eye(4), (count, 1, 1))
     T_object[-1, 2, 3] = -50.0
     q = np.tile(shown.q, (count, 1))
-    lift = {"title": "lift", "time": np.arange(count), "texts": ("lift",) * count, "travels": True}
+    lift = {"title": "lift", "time": np.arange(float(count)), "texts": ("lift",) * count, "travels": True}
     viewer.player.show(Recording(T_root=T_root, q=q, T_object=T_object, **lift))
     view.draw(viewer.state)
     for T in (T_root[0], T_root[-1]):
