@@ -54,7 +54,7 @@ class MeasuredGrasps:
         """Bodies around the object; None: there are none."""
         return self.task.environment
 
-    @property
+    @cached_property
     def regions(self) -> ContactRegions | None:
         """Regions of the object in which links should touch it; None: everywhere."""
         return self.task.on(self.object).regions
@@ -88,11 +88,9 @@ class MeasuredGrasps:
         table = self.task.plane_under(self.object)
         if table is None:
             return None
-        bodies, moving = (
-            [self.hand.links_by_name[name].solid for name in self.links],
-            moving_links(self.hand, self.links),
-        )
+        bodies = [self.hand.links_by_name[name].solid for name in self.links]
         depth = -table.heights(bodies, self.geometry.T_world_link)[0]
+        moving = moving_links(self.hand, self.links)
         return depth if moving is None else np.where(moving, depth, -np.inf)
 
     @cached_property

@@ -18,7 +18,8 @@ from grasp_refine.motion.executions import Executions
 from grasp_refine.motion.plan import LEGS, REACH, MotionPlan
 from grasp_refine.motion.trajectory import Trajectory, trajectory
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, Rows
-from grasp_refine.validation.engines.mujoco.world import OBJECT_GEOM, OTHER_GEOM, SCENE, World
+from grasp_refine.validation.engines.mujoco.world import SCENE, World
+from grasp_refine.validation.engines.simulations import OBJECT_GEOM, OTHER_GEOM
 from grasp_refine.validation.simulation import CHUNK_GRASPS, Course
 
 CLOSE, LIFT = LEGS.index("close"), LEGS.index("lift")

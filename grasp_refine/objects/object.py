@@ -24,6 +24,7 @@ from grasp_refine.geometry.sampling import check_drawing
 from grasp_refine.geometry.shapes import EMBEDDED, primitive, primitive_pieces
 from grasp_refine.geometry.surface_distance import surface_note
 from grasp_refine.geometry.units import UNITS, Unit, check_size
+from grasp_refine.hands.files.inertia import Inertia
 from grasp_refine.objects.folders import given_pieces, surface
 
 if TYPE_CHECKING:
@@ -80,6 +81,11 @@ class Object:
             MeshError: the mesh cannot be decomposed.
         """
         return self._decomposed[0]
+
+    @cached_property
+    def volume(self) -> float:
+        """Sum of the volumes of its convex pieces, m^3."""
+        return Inertia.of(self.body.pieces, density=1.0).mass
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -58,18 +58,17 @@ def certificate_entries(
 ) -> dict[str, np.ndarray]:
     """Return the entries of a result file for the verdicts of each engine, by side, on all of its grasps."""
     entries: dict[str, np.ndarray] = {}
-    names = dict.fromkeys(name for engines in sides.values() for name in engines)
+    used = {name: _used(name) for engines in sides.values() for name in engines}
     for side, engines in sides.items():
         for name, trials in engines.items():
             entries[held_entry(name, side)] = trials.success.astype(float)
             entries[reason_entry(name, side)] = labels(Reason, trials.outcome)
-    return {**entries, CERTIFICATE: _certificate(conditions, dict.fromkeys(names))}
+    return {**entries, CERTIFICATE: np.array(dumps({**conditions, "engines": used}))}
 
 
-def _certificate(conditions: Mapping[str, Any], engines: Mapping[EngineName, Any]) -> np.ndarray:
-    """Return the entry of conditions and engines; an engine without version and seed gets the present ones."""
-    now = {name: known or {"version": ENGINES[name].version, "seed": SEED} for name, known in engines.items()}
-    return np.array(dumps({**conditions, "engines": now}))
+def _used(name: EngineName) -> dict[str, Any]:
+    """Return version and seed of an engine, as they are now."""
+    return {"version": ENGINES[name].version, "seed": SEED}
 
 
 def record_verdicts(
@@ -112,19 +111,18 @@ def record_verdicts(
     elif others := [name for name in known if name not in engines]:
         line += f", beside {', '.join(others)}"
     for name, trials in engines.items():
-        version = {"version": ENGINES[name].version, "seed": SEED}
-        same = known.get(name) == version
+        same = known.get(name) == _used(name)
         held, reason = held_entry(name, "after"), reason_entry(name, "after")
         verdict = entries[held].astype(float) if same and held in entries else np.full(count, np.nan)
         why = entries[reason].astype(object) if same and reason in entries else np.full(count, "", dtype=object)
         verdict[rows], why[rows] = trials.success, labels(Reason, trials.outcome)
         entries |= {held: verdict, reason: why.astype(str)}
-        known[name] = version
+        known[name] = _used(name)
     first = next(iter(known))
     decides = entries[held_entry(first, "after")]
     entries["simulation_after"] = decides if np.isnan(decides).any() else decides.astype(bool)
     entries["simulation_reason_after"] = entries[reason_entry(first, "after")]
-    save_npz(path, {**entries, CERTIFICATE: _certificate(conditions, known)})
+    save_npz(path, {**entries, CERTIFICATE: np.array(dumps({**conditions, "engines": known}))})
     return line
 
 

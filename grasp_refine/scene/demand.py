@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from grasp_refine.hands.files.inertia import Inertia
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.protocol import Protocol
@@ -67,6 +64,4 @@ def object_mass(protocol: Protocol, obj: Object) -> float:
     """Return the mass of an object in kg, by the convex pieces where the protocol gives it a density."""
     if protocol.density is None:
         return protocol.mass
-    bounds = np.array([piece.bounds for piece in obj.body.pieces])
-    size = float(np.linalg.norm(bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0))) / 2
-    return protocol.object_mass(Inertia.of(obj.body.pieces, density=1.0).mass, size)
+    return protocol.object_mass(obj.volume, obj.body.diagonal / 2.0)

@@ -42,8 +42,8 @@ class Simulation:
     """Pregrasps and squeezes: from the file, generated, or auto: from the file if it has them, else generated."""
     engine: Engines = (MUJOCO,)
     """Engines that simulate, and how far they agree: each has its own contact model and solver. The first one decides
-    which grasps hold, and makes the trials of --noise, --frictions and --without-squeeze. all: those that are installed
-    and simulate the hand and its task; each needs its extra: pip install 'grasp-refine[NAME]'."""
+    which grasps hold, and makes the trials of --noise, --frictions and --without-squeeze. all: every installed engine
+    that simulates the hand and its task; each needs its extra: pip install 'grasp-refine[NAME]'."""
     threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
     """Number of CPU threads; results do not depend on it."""
 

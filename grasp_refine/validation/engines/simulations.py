@@ -7,9 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from grasp_refine.core.short_repr import brief
+
+OBJECT_GEOM, OTHER_GEOM = -1, -2
+"""Owners of geoms without a link, beside the indices of links: the object, and others, such as the table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +27,28 @@ class Touch:
     """Largest penetration of the links in the table (N,), metres."""
 
     __repr__ = brief
+
+    @staticmethod
+    def none(count: int, links: int) -> Touch:
+        """Return no contact of `count` simulations of a hand of some links."""
+        return Touch(np.zeros((count, links), dtype=bool), np.zeros(count), np.zeros(count))
+
+    def add(self, row: int, owners: Int[np.ndarray, " 2"], depth: float) -> None:
+        """Add a contact of two geoms in a simulation, if one is of a link and the other is not.
+
+        Args:
+            row: Number of the simulation.
+            owners: Owners of the geoms, as of `World.link_of_geom`.
+            depth: Penetration in metres.
+        """
+        other, link = sorted(owners)
+        if link < 0 or other >= 0:
+            return
+        if other == OBJECT_GEOM:
+            self.links[row, link] = True
+            self.depth[row] = max(self.depth[row], depth)
+        else:
+            self.depth_table[row] = max(self.depth_table[row], depth)
 
 
 class Simulations(ABC):
@@ -45,9 +70,8 @@ class Simulations(ABC):
     ) -> None:
         """Place the hands' root bodies, joints in the order of `HandModel.joints`, and objects, all at rest."""
 
-    @abstractmethod
-    def begin(self) -> None:
-        """Take note that all is placed, and the hands are about to close."""
+    def begin(self) -> None:  # noqa: B027
+        """Take note that all is placed, and the hands are about to close; by default nobody watches."""
 
     @abstractmethod
     def drive(self, root: Float[np.ndarray, "N 7"], set_points: Float[np.ndarray, "N u"]) -> None:

@@ -19,7 +19,7 @@ from grasp_refine.validation.engines.drake.build import build_plant
 from grasp_refine.validation.engines.drake.plant import Plant, rigid
 from grasp_refine.validation.engines.mujoco.parameters import Parameters, parameters_of
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, StepCallback
-from grasp_refine.validation.engines.mujoco.world import OBJECT_GEOM, UP, World
+from grasp_refine.validation.engines.mujoco.world import UP, World
 from grasp_refine.validation.engines.root_joints import root_values
 from grasp_refine.validation.engines.simulations import Engine, Simulations, Touch
 
@@ -164,9 +164,6 @@ class Rows(Simulations):
         # One by one, so that rounding does not depend on the batch.
         positions[:] = [plant.helpers @ row for row in positions]
 
-    def begin(self) -> None:
-        """Do nothing: nobody watches."""
-
     def drive(self, root: np.ndarray, set_points: np.ndarray) -> None:
         """Set where the hands' root bodies (N, 7) and the actuators (N, u) are to go."""
         plant = self._plant
@@ -195,24 +192,15 @@ class Rows(Simulations):
 
     def touching(self, rows: np.ndarray) -> Touch:
         """Return the contacts in the simulations `rows`; none in the others."""
-        count = len(self.running)
-        links = np.zeros((count, len(self.world.links)), dtype=bool)
-        depth, depth_table = np.zeros(count), np.zeros(count)
+        found = Touch.none(len(self.running), len(self.world.links))
         link_of_geom = np.array(self.world.link_of_geom)
 
         def look(row: int, space: Workspace) -> None:
             for geoms, overlap in space.penetrations():
-                other, link = sorted(link_of_geom[list(geoms)])
-                if link < 0 or other >= 0:
-                    continue
-                if other == OBJECT_GEOM:
-                    links[row, link] = True
-                    depth[row] = max(depth[row], overlap)
-                else:
-                    depth_table[row] = max(depth_table[row], overlap)
+                found.add(row, link_of_geom[list(geoms)], overlap)
 
         self._each(rows, look)
-        return Touch(links, depth, depth_table)
+        return found
 
     def object_poses(self) -> Float[np.ndarray, "N 4 4"]:
         """Return the poses of the objects (N, 4, 4); NaN where a simulation diverged."""

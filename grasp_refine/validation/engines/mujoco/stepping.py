@@ -17,8 +17,8 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.files.mujoco_messages import unlogged
 from grasp_refine.scene.protocols.contact_model import MUJOCO_CONTACT
 from grasp_refine.validation.engines.mujoco.arm_lift import ArmLift
-from grasp_refine.validation.engines.mujoco.world import CONES, HAND, OBJECT, OBJECT_GEOM, OTHER_GEOM, World
-from grasp_refine.validation.engines.simulations import Engine, Simulations, Touch
+from grasp_refine.validation.engines.mujoco.world import CONES, HAND, OBJECT, World
+from grasp_refine.validation.engines.simulations import OBJECT_GEOM, OTHER_GEOM, Engine, Simulations, Touch
 
 DIVERGED = [
     warning.value

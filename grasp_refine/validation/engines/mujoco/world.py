@@ -29,6 +29,7 @@ from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.geoms import add_piece
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
+from grasp_refine.validation.engines.simulations import OBJECT_GEOM, OTHER_GEOM
 
 UP = np.array([0.0, 0.0, 1.0])
 """Direction in which an object is lifted off a table."""
@@ -44,8 +45,6 @@ CONES: Mapping[Cone, mujoco.mjtCone] = MappingProxyType(
 SCENE = "scene/"
 """Prefix of the names of bodies around the object."""
 
-OBJECT_GEOM, OTHER_GEOM = -1, -2
-"""Values of `World.link_of_geom` for geoms without a link."""
 
 ALL_COLLISION_BITS = -1
 """All 32 collision bits: object and table touch all that can touch anything, whatever bits the hand's file has."""

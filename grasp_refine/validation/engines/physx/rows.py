@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.validation.engines.mujoco.parameters import Parameters, parameters_of
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, StepCallback
-from grasp_refine.validation.engines.mujoco.world import OBJECT_GEOM, World
+from grasp_refine.validation.engines.mujoco.world import World
 from grasp_refine.validation.engines.physx.blueprint import Blueprint, blueprint_of
 from grasp_refine.validation.engines.physx.workspace import Workspace
 from grasp_refine.validation.engines.root_joints import root_values
@@ -104,9 +104,6 @@ class Rows(Simulations):
         positions[:] = [self._blueprints[0].helpers @ row for row in positions]
         self._moving[:, self._object_at] = object
 
-    def begin(self) -> None:
-        """Do nothing: nobody watches."""
-
     def drive(self, root: np.ndarray, set_points: np.ndarray) -> None:
         """Set where the hands' root bodies (N, 7) and the actuators (N, u) are to go."""
         for row, blueprint in enumerate(self._blueprints):
@@ -139,23 +136,15 @@ class Rows(Simulations):
 
     def touching(self, rows: np.ndarray) -> Touch:
         """Return the contacts in the simulations `rows`; none in the others."""
-        count = len(self.running)
-        links = np.zeros((count, len(self.world.links)), dtype=bool)
-        depth, depth_table = np.zeros(count), np.zeros(count)
+        found = Touch.none(len(self.running), len(self.world.links))
         link_of_geom = np.array(self.world.link_of_geom)
         for row in rows.tolist():
             scene = self._scenes.get(row)
             contacts = (self._scene(row).find_contacts() if scene is None else scene).contacts()
             for geoms, overlap, pressed in contacts:
-                other, link = sorted(link_of_geom[list(geoms)])
-                if link < 0 or other >= 0 or (overlap < 0 and not pressed):
-                    continue
-                if other == OBJECT_GEOM:
-                    links[row, link] = True
-                    depth[row] = max(depth[row], overlap)
-                else:
-                    depth_table[row] = max(depth_table[row], overlap)
-        return Touch(links, depth, depth_table)
+                if overlap >= 0 or pressed:
+                    found.add(row, link_of_geom[list(geoms)], overlap)
+        return found
 
     def object_poses(self) -> Float[np.ndarray, "N 4 4"]:
         """Return the poses of the objects (N, 4, 4); NaN where a simulation diverged."""

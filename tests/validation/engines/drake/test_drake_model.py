@@ -18,7 +18,8 @@ from grasp_refine.validation.engines.geom_pairs import touching_pairs
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.stepping import Rows as MujocoRows
-from grasp_refine.validation.engines.mujoco.world import OBJECT_GEOM, World, build_world
+from grasp_refine.validation.engines.mujoco.world import World, build_world
+from grasp_refine.validation.engines.simulations import OBJECT_GEOM
 from gripper import ball, two_balls
 from rich_hands import JOINTS, LEFT, NAMES, TIED, TIES, model, random_poses, rich
 

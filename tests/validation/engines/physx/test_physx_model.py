@@ -17,9 +17,10 @@ from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.stepping import Rows as MujocoRows
-from grasp_refine.validation.engines.mujoco.world import OBJECT_GEOM, World, build_world
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.engines.physx.rows import Blueprints, Rows
 from grasp_refine.validation.engines.physx.shapes import let_collide, material_of, shape_of
+from grasp_refine.validation.engines.simulations import OBJECT_GEOM
 from gripper import ball, two_balls
 from rich_hands import JOINTS, LEFT, MESH, NAMES, SERVOS, TIED, TIES, TREE, model, random_poses
 
