@@ -38,18 +38,20 @@ class Bounds:
 
 def bounds_of(pieces: Sequence[Piece]) -> Bounds:
     """Return bounding spheres and boxes of convex pieces; boxes are aligned with the pieces' principal axes."""
-    centers, radii, axes, halves = [], [], [], []
-    for piece in pieces:
+    return Bounds(*map(np.array, zip(*map(_bounds_of, pieces), strict=True)))
+
+
+def _bounds_of(piece: Piece) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
+    """Centre (3,), radius, axes (3, 3) and half side lengths (3,) of a piece, found once."""
+    if "bounds" not in piece.derived:
         centered = piece.vertices - piece.vertices.mean(axis=0)
-        rows = np.linalg.eigh(centered.T @ centered)[1].T
-        along = piece.vertices @ rows.T
+        axes = np.linalg.eigh(centered.T @ centered)[1].T
+        along = piece.vertices @ axes.T
         low, high = along.min(axis=0), along.max(axis=0)
-        center = (low + high) / 2 @ rows
-        centers.append(center)
-        axes.append(rows)
-        halves.append((high - low) / 2 + piece.radius)
-        radii.append(np.linalg.norm(piece.vertices - center, axis=1).max() + piece.radius)
-    return Bounds(*map(np.array, (centers, radii, axes, halves)))
+        center = (low + high) / 2 @ axes
+        radius = np.linalg.norm(piece.vertices - center, axis=1).max() + piece.radius
+        piece.derived["bounds"] = center, radius, axes, (high - low) / 2 + piece.radius
+    return piece.derived["bounds"]
 
 
 def support_table(bodies: Sequence[Sequence[Piece]]) -> np.ndarray:

@@ -12,7 +12,7 @@ from grasp_refine.core.arguments import as_numbers, check_kind, describe_value
 from grasp_refine.core.errors import MeshError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.geometry.facets import Facets
-from grasp_refine.geometry.pieces import Piece
+from grasp_refine.geometry.pieces import Piece, hull
 from grasp_refine.geometry.sampling import Candidates, sample
 
 
@@ -60,6 +60,16 @@ class Body:
         middle = np.concatenate([piece.vertices for piece in self.pieces]).mean(axis=0)
         reach = [np.linalg.norm(piece.vertices - middle, axis=1).max() + piece.radius for piece in self.pieces]
         return 2.0 * float(max(reach))
+
+    @cached_property
+    def outline(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (V, 3) with the radii (V, 1) about them, at least vertices that bounding boxes of the body touch."""
+        vertices = np.concatenate([piece.vertices for piece in self.pieces])
+        radius = np.concatenate([np.full((len(piece.vertices), 1), piece.radius) for piece in self.pieces])
+        if radius.any():
+            return vertices, radius
+        outer = hull(vertices).vertices
+        return outer, np.zeros((len(outer), 1))
 
     @cached_property
     def facets(self) -> Facets:

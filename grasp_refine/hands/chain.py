@@ -22,6 +22,7 @@ from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import Array, array_namespace, exp_so3, inverse, tangents, transform
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.kept import kept
 
 Selection = Array | slice
 """Indices along an axis: an array or, where they are consecutive, a slice, which copies nothing."""
@@ -230,6 +231,7 @@ class _Numbers:
         return _Numbers(**changed, follows=follows)
 
 
+@kept
 def _build(hand: Hand, links: tuple[str, ...]) -> tuple[tuple[str, ...], _Numbers]:
     """The names of the joints that move any of `links`, in the order of `Chain.joints`, and the constants."""
     # Each link as (movable joint that carries it or None, pose in that joint's frame).

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.kept import kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +26,7 @@ class Displacement:
     """Second moments (L, 4, 4) of the homogeneous points [p, 1] of each link, link frames, by share of the surface."""
 
     @staticmethod
+    @kept
     def of(hand: Hand) -> Displacement:
         """Return the displacement of a hand."""
         carried = () if hand.arm is None else hand.arm.links

@@ -12,14 +12,14 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.errors import CollisionError, GraspFileError, HandError
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.core.profiling import stage
 from grasp_refine.geometry import cache as disk
-from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.files.tree import LinkPair, rigid_parts
 from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.kept import kept
+from grasp_refine.hands.link_pairs import LinkPairs, link_pairs
 
 SCHEMA = 3
 """Version of the candidates and of their classification; a new one leaves all old cache entries unused."""
@@ -38,9 +38,6 @@ _SAME_POINT_M = 1e-3
 
 _ENTRY = ("touching", "least_overlap")
 """Arrays of a cache entry."""
-
-_BLOCK, _BLOCK_POSES = 256, 2**20
-"""Configurations, and configurations times pairs, that are queried at a time, which bounds the memory."""
 
 _ROUND_STARTS = (256, 1280)
 """Configurations at which a new round starts: pairs that were near in one round are not queried in the next, which is
@@ -112,9 +109,8 @@ def touching_pairs(
     Raises:
         HandError: more than `MAX_PAIRS` pairs have a joint that can move between them.
     """
-    candidates, _ = _candidates(hand)
-    touching, _ = _classes(hand, candidates, sampling, cache)
-    return tuple(pair for pair, kept in zip(candidates, touching.tolist(), strict=True) if kept)
+    candidates, touching, _ = _classes(hand, sampling, cache)
+    return tuple(pair for pair, can in zip(candidates, touching.tolist(), strict=True) if can)
 
 
 @stage("loading")
@@ -125,8 +121,7 @@ def overlapping_pairs(
 
     The least overlap in metres, over the sampled configurations, is what the design of the hand explains.
     """
-    candidates, _ = _candidates(hand)
-    _, least = _classes(hand, candidates, sampling, cache)
+    candidates, _, least = _classes(hand, sampling, cache)
     return {pair: depth for pair, depth in zip(candidates, least.tolist(), strict=True) if not np.isnan(depth)}
 
 
@@ -136,7 +131,7 @@ def ignored_overlaps(hand: Hand, q: Float[np.ndarray, "batch n"]) -> str:
     Deeper by more than `MIN_AVOIDABLE_M` than their least overlap, which no configuration avoids.
     """
     least = overlapping_pairs(hand)
-    depth = np.maximum(-_distances(hand, tuple(least), q, cutoff=0.0), 0.0)
+    depth = np.maximum(-link_pairs(hand, tuple(least)).distances(q, 0.0), 0.0)
     deepest = np.where(np.isnan(depth), 0.0, depth).max(axis=0, initial=0.0)
     named = [
         f"{a} and {b} ({there * 1e3:.1f} mm, everywhere at least {own * 1e3:.1f})"
@@ -170,7 +165,7 @@ def classify_pairs(
     """Classification of all pairs: `touching_pairs`, and the reasons for excluding the others."""
     (candidates, neighbours), checked = _candidates(hand), touching_pairs(hand, sampling, cache=cache)
     always = tuple(overlapping_pairs(hand, sampling, cache=cache))
-    resting = _distances(hand, checked, hand.rest[None], 0.0)[0] < 0
+    resting = link_pairs(hand, checked).distances(hand.rest[None], 0.0)[0] < 0
     at_rest = tuple(pair for pair, overlaps in zip(checked, resting.tolist(), strict=True) if overlaps)
     return PairClasses(neighbours, checked, at_rest, always, len(candidates) - len(checked) - len(always))
 
@@ -190,7 +185,7 @@ def self_penetration(
     Raises:
         HandError: the hand has no such link, or it has no body.
     """
-    depth = np.maximum(-_distances(hand, pairs, q, cutoff=0.0), 0.0).max(axis=1, initial=0.0)
+    depth = np.maximum(-link_pairs(hand, tuple(pairs)).distances(q, 0.0), 0.0).max(axis=1, initial=0.0)
     return np.where(np.isfinite(q).all(axis=1), depth, np.nan)
 
 
@@ -247,13 +242,25 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
     return pairs, len(near)
 
 
-def _classes(
-    hand: Hand, candidates: list[LinkPair], sampling: Sampling, cache: Path | Literal["user"] | None
-) -> tuple[Bool[np.ndarray, " pairs"], Float[np.ndarray, " pairs"]]:
-    """Mask of the candidates that can touch, and least overlap of the ones that nearly always overlap, else NaN."""
+_Classes = tuple[list[LinkPair], Bool[np.ndarray, " pairs"], Float[np.ndarray, " pairs"]]
+"""Candidates, a mask of the ones that can touch, and the least overlap of the ones that nearly always overlap, else
+NaN."""
+
+
+def _classes(hand: Hand, sampling: Sampling, cache: Path | Literal["user"] | None) -> _Classes:
+    """Classes of the candidates; with the user's cache kept in memory, too."""
+    return _users_classes(hand, sampling) if cache == "user" else _cached_classes(hand, sampling, cache)
+
+
+@kept
+def _users_classes(hand: Hand, sampling: Sampling) -> _Classes:
+    return _cached_classes(hand, sampling, disk.default_cache("touching"))
+
+
+def _cached_classes(hand: Hand, sampling: Sampling, folder: Path | None) -> _Classes:
+    candidates, _ = _candidates(hand)
     if not candidates:
-        return np.zeros(0, dtype=bool), np.zeros(0)
-    folder = disk.default_cache("touching") if cache == "user" else cache
+        return candidates, np.zeros(0, dtype=bool), np.zeros(0)
     entry = folder / _entry_name(hand, sampling) if folder is not None else None
     known = _load(entry, len(candidates)) if entry is not None else None
     if known is None:
@@ -261,58 +268,35 @@ def _classes(
         if entry is not None:
             with suppress(GraspFileError):  # it takes about a second the next time, too
                 save_npz(entry, dict(zip(_ENTRY, known, strict=True)))
-    return known
+    return candidates, *known
 
 
 def _sampled_classes(
     hand: Hand, candidates: list[LinkPair], sampling: Sampling
 ) -> tuple[Bool[np.ndarray, " pairs"], Float[np.ndarray, " pairs"]]:
-    """`_classes` by sampling."""
+    """Mask and least overlaps of `_classes`, by sampling."""
     lower, upper = finite_limits(hand)
     rng = np.random.default_rng(sampling.seed)
     first = rng.uniform(lower, upper, (sampling.uniform, len(lower)))
     end, within = rng.choice([True, False], (2, sampling.extreme, len(lower)))
     extreme = np.where(within, rng.uniform(lower, upper, end.shape), np.where(end, upper, lower))
-    distance = _distances(hand, candidates, first, sampling.margin)
+    distance = LinkPairs.of(hand, candidates).distances(first, sampling.margin)
     near = np.any(distance < sampling.margin, axis=0)
     least = np.full(len(candidates), np.nan)
     # Only pairs that overlap in most of the first configurations are worth the others.
     likely = np.flatnonzero((distance < 0).mean(axis=0) > sampling.always - _SCREENING)
     more = rng.uniform(lower, upper, (sampling.more, len(lower)))
-    for p, column in zip(likely, _distances(hand, [candidates[p] for p in likely], more, 0.0).T, strict=True):
+    for p, column in zip(
+        likely, LinkPairs.of(hand, [candidates[p] for p in likely]).distances(more, 0.0).T, strict=True
+    ):
         uniform = np.concatenate([distance[:, p], column])
         if (uniform < 0).mean() > sampling.always:
             least[p] = max(-uniform.max(), 0.0)
     for q in np.split(extreme, _ROUND_STARTS):
         left = np.flatnonzero(~near)
-        distance = _distances(hand, [candidates[p] for p in left], q, sampling.margin)
+        distance = LinkPairs.of(hand, [candidates[p] for p in left]).distances(q, sampling.margin)
         near[left] = (distance < sampling.margin).any(axis=0)
     return near & np.isnan(least), least
-
-
-def _distances(
-    hand: Hand, pairs: Sequence[LinkPair], q: Float[np.ndarray, "batch n"], cutoff: float
-) -> Float[np.ndarray, "batch pairs"]:
-    """Signed distances (batch, pairs) in metres; the cutoff where it is larger, NaN without a result."""
-    if not pairs:
-        return np.zeros((len(q), 0))
-    names = sorted({name for pair in pairs for name in pair})
-    chain = Chain(hand, names)
-    for name in names:
-        if hand.links_by_name[name].body is None:
-            raise HandError(f"hand {hand.name}: link '{name}' has no collision geometry")
-    first, second = ([names.index(pair[side]) for pair in pairs] for side in (0, 1))
-    bodies = [hand.links_by_name[name].solid for name in names]
-    table = Pairs(tuple(bodies[i] for i in first), tuple(bodies[i] for i in second))
-    distance = np.empty((len(q), len(pairs)))
-    rows = max(min(_BLOCK, _BLOCK_POSES // len(pairs)), 1)
-    for start in range(0, len(q), rows):
-        block = q[start : start + rows]
-        # Configurations that are not finite have no result.
-        with np.errstate(invalid="ignore"):
-            T = chain(np.broadcast_to(np.eye(4), (len(block), 4, 4)), block).T_world_link
-        distance[start : start + rows] = query(table, T[:, first], T[:, second], cutoff=cutoff).distance
-    return distance
 
 
 def finite_limits(hand: Hand) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:

@@ -5,12 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.collision.query import Witness, query
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import distances, transform_points
-from grasp_refine.hands.chain import Chain
-from grasp_refine.hands.hand import Hand
-from grasp_refine.objects.object import Object
+from grasp_refine.scene.hand_object import HandObject
 
 LIMIT_TOLERANCE = 1e-6
 """Distance (rad or m) beyond a joint limit that does not count as a violation."""
@@ -61,9 +59,7 @@ class Movement:
 
 @stage("measuring")
 def measure(
-    hand: Hand,
-    obj: Object,
-    links: tuple[str, ...],
+    prepared: HandObject,
     T_world_root: np.ndarray,
     q: np.ndarray,
     target_link: np.ndarray,
@@ -74,9 +70,7 @@ def measure(
     """Measure grasps (N poses (N, 4, 4) and joint values (N, n)) on one object at the world's origin.
 
     Args:
-        hand: The hand.
-        obj: The object.
-        links: Links with collision geometry to measure.
+        prepared: Hand and object, whose links with collision geometry are measured.
         T_world_root: Poses of the base link in the object's frame.
         q: Joint values.
         target_link: Target points on the links (N, L, 3), link frames, metres; NaN: none.
@@ -84,11 +78,10 @@ def measure(
         margin: Gap in metres that contact links should keep, one for all or (N, L).
         touching: Links (N, L) that should touch; None: links with a target.
     """
-    bodies = hand.links_by_name
-    pairs = Pairs.against([bodies[name].solid for name in links], obj.body)
+    hand = prepared.hand
     with np.errstate(invalid="ignore"):  # grasps that are not finite have no result
-        T_link = Chain(hand, links)(T_world_root, q).T_world_link
-    witness = query(pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape))
+        T_link = prepared.chain(T_world_root, q).T_world_link
+    witness = query(prepared.pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape))
     valid = witness.valid
     distance = np.where(valid, witness.distance, np.nan)
     if touching is None:

@@ -18,6 +18,7 @@ from grasp_refine.measures.geometry import contact_errors, measure
 from grasp_refine.measures.measures import VALIDATED, Measure
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.contact_links import contact_gaps
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.task import Task
 from grasp_refine.scene.task_file import as_task
@@ -100,7 +101,7 @@ def metrics_of(scene: Scene) -> Metrics:
         np.full((len(q), len(links), 3), np.nan) if one is None else one
         for one in (scene.target_link, scene.target_object)
     )
-    geometry = measure(hand, obj, links, T, q, target_link, target_object)
+    geometry = measure(HandObject.of(scene), T, q, target_link, target_object)
     gap, where = contact_gaps(scene, geometry.witness), (geometry.distance, geometry.witness, geometry.T_world_link)
     errors = contact_errors(*where, gap, target_link, target_object)
     # A link with several contact points appears several times, and counts once in all other measures.

@@ -124,7 +124,6 @@ def refine_group(
         margin=config.margin,
         clearance=clearances(config, scene.hand, prepared.chain),
         selection=config.contact_selection,
-        displacement=prepared.displacement,
         name=group.object,
         scale=group.scale,
         row=group.rows,

@@ -17,6 +17,7 @@ import numpy as np
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.se3 import exp_so3, matvec
 from grasp_refine.forces.quality import DEEP
+from grasp_refine.hands.displacement import Displacement
 from grasp_refine.measures.formulas import room_share
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
@@ -264,7 +265,7 @@ class Search:
         )
         enough = value >= 1.0 - allowed if self.by_quality else score <= self.good
         first = take(self.inputs, rows)
-        displacement = self.prepared.displacement.between(first.T, first.q, point.T, point.q)
+        displacement = Displacement.of(self.prepared.hand).between(first.T, first.q, point.T, point.q)
         return Attempt(found, goal, score, pinches, value, enough, displacement)
 
     def judge(self, rows: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

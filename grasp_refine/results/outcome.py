@@ -26,6 +26,7 @@ from grasp_refine.refinement.solvers.status import UNUSABLE, Status
 from grasp_refine.results.weakness import weaknesses
 from grasp_refine.scene.contact_links import contact_gaps
 from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
 
@@ -155,7 +156,6 @@ def compare(
     margin: float,
     clearance: np.ndarray | float = 0.0,
     selection: ContactSelection | None = None,
-    displacement: Displacement | None = None,
     name: str,
     scale: float,
     row: np.ndarray,
@@ -170,7 +170,6 @@ def compare(
         margin: Gap in metres that contact links should keep.
         clearance: Gap (L,) in metres that links without a target keep beside it.
         selection: Selection of the contact links of input grasps (`contact_gaps`); None: the defaults.
-        displacement: Displacement of the hand; None: built here.
         name: The object's name in results.
         scale: Factor that took the object's mesh to metres.
         row: Rows of the grasps (N,) in their file.
@@ -184,7 +183,7 @@ def compare(
     T, q = np.concatenate([before.T_world_root, T_after]), np.concatenate([before.q, q_after])
     aimed = ~np.isnan(refinement.target_link[..., 0])
     targets = tuple(np.concatenate([one, one]) for one in (refinement.target_link, refinement.target_object))
-    geometry = measure(scene.hand, scene.object, scene.links, T, q, *targets)
+    geometry = measure(HandObject.of(scene), T, q, *targets)
     gap_after = np.where(refinement.touching, margin + np.where(aimed, 0.0, clearance), np.nan)
     gaps = np.concatenate([contact_gaps(before, geometry.witness.rows(slice(count)), selection), gap_after])
     errors = contact_errors(geometry.distance, geometry.witness, geometry.T_world_link, gaps, *targets)
@@ -194,9 +193,7 @@ def compare(
     plain, near = replace(before, target_link=None, target_object=None), KEEP.touching(selection or ContactSelection())
     own = ~np.isnan(contact_gaps(plain, geometry.witness.rows(slice(count)), near))
     touching = own, refinement.touching
-    moved = _measured(
-        before, refinement, T_after, q_after, geometry, touching, displacement or Displacement.of(scene.hand)
-    )
+    moved = _measured(before, refinement, T_after, q_after, geometry, touching)
     measures = {}
     for each in RECORDED:
         values = each.values(grasps if each.of_grasps else moved)
@@ -247,7 +244,6 @@ def _measured(
     q_after: np.ndarray,
     geometry: Geometry,
     touching: tuple[np.ndarray, np.ndarray],
-    displacement: Displacement,
 ) -> MeasuredRefinement:
     """Return effort and movement of a refinement.
 
@@ -258,13 +254,12 @@ def _measured(
         q_after: Their joint values (N, n).
         geometry: Geometry of the input grasps and of the refined ones (2 N).
         touching: Contact links (N, L) before and after.
-        displacement: Displacement of the hand.
     """
     hand, own, count = before.hand, ~before.hand.arm_joints, len(q_after)
     T_palm = palm_poses(hand, before.T_world_root, before.q), palm_poses(hand, T_after, q_after)
     T_link, witness = geometry.T_world_link, geometry.witness.rows(slice(count))
     with np.errstate(invalid="ignore"):
-        displaced = displacement.between(before.T_world_root, before.q, T_after, q_after)
+        displaced = Displacement.of(hand).between(before.T_world_root, before.q, T_after, q_after)
         contacts = contacts_moved(touching[0] & touching[1], witness, T_link[:count], T_link[count:])
     return MeasuredRefinement(
         **{name: getattr(refinement, name) for name in ("starts", "iterations", "queries", "cpu_s", "wall_s")},

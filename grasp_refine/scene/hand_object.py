@@ -11,10 +11,11 @@ from jaxtyping import Bool, Float
 from grasp_refine.collision.culling import bounding_sphere
 from grasp_refine.collision.query import Pairs
 from grasp_refine.geometry.body import Body, build_body
-from grasp_refine.geometry.pieces import hull, sphere
+from grasp_refine.geometry.pieces import sphere
 from grasp_refine.hands.chain import Chain
-from grasp_refine.hands.displacement import Displacement
 from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.kept import kept
+from grasp_refine.hands.link_pairs import link_pairs
 from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.environment import Environment
@@ -64,11 +65,6 @@ class HandObject:
         return Chain(self.hand, links_of(self.hand))
 
     @cached_property
-    def displacement(self) -> Displacement:
-        """Displacement of the hand between two configurations."""
-        return Displacement.of(self.hand)
-
-    @cached_property
     def pairs(self) -> Pairs:
         """Each of these links and the object."""
         return Pairs.against(self.bodies, self.object.body)
@@ -94,10 +90,7 @@ class HandObject:
     @cached_property
     def self_collision_pairs(self) -> Pairs | None:
         """Pairs of these links; None if there are none."""
-        first, second = self.self_collision_links
-        if not len(first):
-            return None
-        return Pairs(tuple(self.bodies[i] for i in first), tuple(self.bodies[j] for j in second))
+        return link_pairs(self.hand, touching_pairs(self.hand)).pairs
 
     @cached_property
     def bounding_spheres(self) -> np.ndarray:
@@ -112,23 +105,12 @@ class HandObject:
 
     def boxes(self, axes: Float[np.ndarray, "N 3 3"]) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
         """Lower and upper corners (N, 3) of the object's bounding boxes along the columns of rotations (N, 3, 3)."""
-        vertices, radius = self._outline
+        vertices, radius = self.object.body.outline
         low, high = np.empty((2, len(axes), 3))
         for rows in np.split(np.arange(len(axes)), range(_BLOCK_BOXES, len(axes), _BLOCK_BOXES)):
             along = vertices @ axes[rows]
             low[rows], high[rows] = (along - radius).min(axis=1), (along + radius).max(axis=1)
         return low, high
-
-    @cached_property
-    def _outline(self) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "V 1"]]:
-        """Vertices of the object with the radii about them, at least vertices that its bounding boxes touch."""
-        pieces = self.object.body.pieces
-        vertices = np.concatenate([piece.vertices for piece in pieces])
-        radius = np.concatenate([np.full((len(piece.vertices), 1), piece.radius) for piece in pieces])
-        if radius.any():
-            return vertices, radius
-        outer = hull(vertices).vertices
-        return outer, np.zeros((len(outer), 1))
 
     @cached_property
     def points(self) -> tuple[Pairs, Pairs]:
@@ -203,8 +185,7 @@ class PaddedHand(HandObject):
 
     @cached_property
     def _padded(self) -> tuple[Body, ...]:
-        links = links_of(self.hand)
-        return tuple(_inflate(body, by) for body, by in zip(self.bodies, clearances(self.hand, links), strict=True))
+        return _padded_links(self.hand)
 
 
 def moving_links(hand: Hand, links: tuple[str, ...]) -> Bool[np.ndarray, " L"] | None:
@@ -215,6 +196,13 @@ def moving_links(hand: Hand, links: tuple[str, ...]) -> Bool[np.ndarray, " L"] |
 def clearances(hand: Hand, links: tuple[str, ...]) -> Float[np.ndarray, " L"]:
     """Least distance of each link (L,) from the object when the hand is open, in metres."""
     return np.where(np.isin(links, [contact.link for contact in hand.contacts]), CLEARANCE, CLEARANCE_OTHERS)
+
+
+@kept
+def _padded_links(hand: Hand) -> tuple[Body, ...]:
+    links = links_of(hand)
+    bodies = [hand.links_by_name[name].solid for name in links]
+    return tuple(_inflate(body, by) for body, by in zip(bodies, clearances(hand, links), strict=True))
 
 
 def _inflate(body: Body, by: float) -> Body:

@@ -76,7 +76,7 @@ def disturbed(scene: Scene, touched: Refinement, count: int, seed: int) -> Scene
 
 def true_loss(scene: Scene, T: np.ndarray, q: np.ndarray, found: Refinement, config: Config) -> np.ndarray:
     """The loss by plain queries and another kinematics, term by term."""
-    measured = measure(scene.hand, scene.object, scene.links, T, q, found.target_link, found.target_object)
+    measured = measure(HandObject.of(scene), T, q, found.target_link, found.target_object)
     w, d = measured.witness, measured.distance
     poses = Kinematics(scene.hand, scene.links)(torch.from_numpy(T), torch.from_numpy(q)).numpy()
     miss_link = w.point_a - transform_points(poses, found.target_link)

@@ -147,8 +147,8 @@ class Samples:
 def shortcomings_of(scene: Scene) -> np.ndarray:
     """Return the shortcomings (N, K) of the grasps of a scene; NaN where links are in the table."""
     nothing = np.full((len(scene.q), len(scene.links), 3), np.nan)
-    args = scene.hand, scene.object, scene.links, scene.T_world_root, scene.q
-    grasps = MeasuredGrasps(*args, measure(*args, nothing, nothing), scene.task)
+    geometry = measure(HandObject.of(scene), scene.T_world_root, scene.q, nothing, nothing)
+    grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, scene.T_world_root, scene.q, geometry, scene.task)
     return np.where(room(grasps)[:, None] < 1.0, np.nan, grasps.quality.shortcomings)
 
 

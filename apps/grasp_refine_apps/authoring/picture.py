@@ -20,6 +20,7 @@ from grasp_refine.hands.hand import load_hand
 from grasp_refine.measures.geometry import Geometry, measure
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.refine import Scene, refine
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.report.drawing import BAD, GOOD, INK, font, photograph, write
 from grasp_refine_apps.report.rasterizer import Camera
 from grasp_refine_apps.report.skeleton import Skeleton, object_model
@@ -93,7 +94,7 @@ def draw_example() -> UInt8[np.ndarray, "H W 3"]:
         ("After refinement", refined.T_world_root, refined.q),
     ):
         geometry = measure(
-            hand, obj, scene.links, T, q, refined.target_link, refined.target_object, touching=refined.touching
+            HandObject.of(scene), T, q, refined.target_link, refined.target_object, touching=refined.touching
         )
         photo = photograph([*drawn.posed(T[0], q[0]), solid], camera, np.array(LIGHT_DIRECTION))
         annotate(ImageDraw.Draw(photo), camera, title, geometry, len(hand.contacts))

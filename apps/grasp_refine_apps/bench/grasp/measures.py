@@ -9,6 +9,7 @@ import numpy as np
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.measures.geometry import measure
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
 
@@ -39,7 +40,7 @@ def measure_grasps(scene: Scene, T_world_root: np.ndarray, q: np.ndarray) -> Mea
     target_link, target_object = (
         invalid if target is None else target for target in (scene.target_link, scene.target_object)
     )
-    geometry = measure(hand, scene.object, links, T_world_root, q, target_link, target_object)
+    geometry = measure(HandObject.of(scene), T_world_root, q, target_link, target_object)
     T_link, witness = geometry.T_world_link, geometry.witness
     misses = witness.point_a - transform_points(T_link, target_link), witness.point_b - target_object
     return Measures(

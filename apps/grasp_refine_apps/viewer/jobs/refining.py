@@ -110,9 +110,7 @@ def recounted(trace: Trace, scene: Scene, outcome: Outcome) -> Trace:
         for values in (outcome.contact_gap, outcome.target_point_link, outcome.target_point_object)
     )
     geometry = measure(
-        scene.hand,
-        scene.object,
-        scene.links,
+        HandObject.of(scene),
         trace.T_root,
         trace.q,
         target_link,
