@@ -81,6 +81,12 @@ LIGHT = (
 
 HEAVY = {"torch", "coal", "coacd", "pytorch_kinematics", "mujoco", "viser"}
 
+SELDOM = {"scipy", "trimesh", "networkx", "array_api_compat", "manifold3d", "lxml"}
+"""Packages that the library loads only where it uses them: each delays every command that does not, too."""
+
+ARRAY_TYPES = "grasp_refine.core.array_types"
+"""Module that takes its types from jaxtyping where that is loaded already."""
+
 COAL = (
     "grasp_refine.collision.certified_distance",
     "grasp_refine_apps.bench.queries.peers",
@@ -198,6 +204,16 @@ def test_light_modules_load_nothing_heavy():
         waiting.extend(ours(loaded))
         # Loading a.b loads the package a first.
         waiting.extend(name.rpartition(".")[0] for name in ours(loaded) if "." in name)
+
+
+def test_the_library_loads_what_is_seldom_used_where_it_is_used():
+    library = [module for module in FILES if module.split(".")[0] == LIBRARY and module != ARRAY_TYPES]
+    loaded = {
+        f"{module} loads {package}"
+        for module in library
+        for package in {name.split(".")[0] for name in imports(module, on_load=True)} & SELDOM
+    }
+    assert not loaded
 
 
 def test_only_the_narrow_phase_talks_to_coal():

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.closing.pregrasp import open_hand
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_records import take
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.core.short_repr import brief

@@ -9,7 +9,6 @@ from math import factorial, prod
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import array_api_compat
 import numpy as np
 
 from grasp_refine.core.arguments import as_numbers, check_alike, check_shape
@@ -58,7 +57,11 @@ _SHIFT_SERIES = tuple((-1.0) ** k / factorial(2 * k + 3) for k in reversed(range
 def array_namespace(array: Array) -> ModuleType:
     """The array API of an array: NumPy itself, which conforms since version 2, or a wrapped library."""
     # The shortcut matters: small steps call this some twenty times, at 5 us each otherwise.
-    return np if isinstance(array, np.ndarray) else array_api_compat.array_namespace(array)
+    if isinstance(array, (np.ndarray, np.generic)):
+        return np
+    import array_api_compat
+
+    return array_api_compat.array_namespace(array)
 
 
 def cross(a: Same, b: Same) -> Same:

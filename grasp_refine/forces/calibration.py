@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
-from scipy.special import expit
+
+from grasp_refine.core.array_types import Float
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,9 @@ class Calibration:
 
     def probability(self, shortcomings: Float[np.ndarray, "N K"]) -> Float[np.ndarray, " N"]:
         """Return the probability (N,) that a grasp holds; NaN where a shortcoming is not known."""
-        return expit(self.offset - self.costs(shortcomings).sum(axis=1))
+        odds = self.offset - self.costs(shortcomings).sum(axis=1)
+        with np.errstate(over="ignore"):
+            return np.asarray(1.0 / (1.0 + np.exp(-odds)))
 
 
 CALIBRATION = Calibration(offset=7.28, weights=(4.17, 8.83, 1.07, 1.53, 6.9, 2.04))

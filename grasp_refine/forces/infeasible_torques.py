@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
 
+from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.se3 import cross, matvec
 from grasp_refine.forces.torques import MIN_LIMIT
 from grasp_refine.hands.chain import Chain, Frames

@@ -7,9 +7,9 @@ The compiled solver is an active-set method that knows the friction pyramids (se
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from grasp_refine.collision.engine import chosen
+from grasp_refine.core.array_types import Bool, Float, Int
 
 MAX_PRESSURE_SHARE = 0.5
 """Largest share of the total pressure at one contact: every push needs a counter-push."""

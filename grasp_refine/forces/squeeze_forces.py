@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
 
+from grasp_refine.core.array_types import Float, Int, Shaped
 from grasp_refine.core.plurals import count_text
 
 

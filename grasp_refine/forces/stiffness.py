@@ -11,9 +11,9 @@ Robotics and Automation 12(6), 1996; curvatures of the surfaces, about which con
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from grasp_refine.core.array_records import take
+from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.se3 import cross, hat
 from grasp_refine.forces.contact_points import ContactPoints
 from grasp_refine.hands.chain import Chain, Frames

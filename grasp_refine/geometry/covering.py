@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.decomposition import Decomposition
@@ -127,6 +126,7 @@ def protrusion(pieces: Sequence[Piece], mesh: trimesh.Trimesh, least: float) -> 
     `_NEAREST` points on it.
     """
     import trimesh
+    from scipy.spatial import KDTree
 
     on_mesh, sampled = trimesh.sample.sample_surface(mesh, _MESH_POINTS, seed=0)
     # Vertices are points of one of their triangles: small ones may have no sampled point.

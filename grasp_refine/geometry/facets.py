@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
 
+from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.se3 import tangents
 from grasp_refine.geometry.pieces import Piece
 

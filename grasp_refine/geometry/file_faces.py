@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
 
+from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.mesh import quietly
 

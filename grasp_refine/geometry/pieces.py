@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import ConvexHull, QhullError
 
 from grasp_refine.core.cores import usable_cores
 from grasp_refine.core.errors import GraspFileError, MeshError
@@ -143,6 +142,8 @@ def hull(points: ArrayLike, *, name: str = "convex piece") -> Piece:
     Raises:
         MeshError: `name` has fewer than 4 points, points that are not finite, or no thickness.
     """
+    from scipy.spatial import ConvexHull, QhullError
+
     points = np.asarray(points, dtype=np.float64)
     check_solid(points, name)
     center = (points.min(0) + points.max(0)) / 2

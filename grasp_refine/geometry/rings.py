@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import csr_array, eye_array
-from scipy.spatial import KDTree
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +28,8 @@ class Rings:
     @staticmethod
     def of(vertices: np.ndarray, faces: np.ndarray, edges: int) -> Rings:
         """The vertices within `edges` edges of each vertex of the mesh `vertices` (V, 3), `faces` (F, 3)."""
+        from scipy.sparse import csr_array, eye_array
+
         count = len(vertices)
         corner = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).T
         step = csr_array((np.ones(corner.shape[1], dtype=bool), tuple(corner)), shape=(count, count))
@@ -42,6 +46,8 @@ class Rings:
     @cached_property
     def tree(self) -> KDTree:
         """Search tree of the vertices."""
+        from scipy.spatial import KDTree
+
         return KDTree(self.points)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Int
+
+from grasp_refine.core.array_types import Float, Int
 
 
 def simplify(

@@ -7,8 +7,8 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import MeshError
 
 Unit = Literal["m", "cm", "mm", "in"]

@@ -30,10 +30,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
 
 from grasp_refine.core.arguments import as_numbers, check_kind, check_shape
 from grasp_refine.core.array_records import join, take
+from grasp_refine.core.array_types import Bool, Float, Shaped
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.json_files import check_writable
 from grasp_refine.core.npz_files import NpzFile, load_npz, save_npz

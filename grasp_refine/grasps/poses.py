@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+
+from grasp_refine.core.array_types import Float
 
 QUATERNION_TOLERANCE = 1e-3
 """Greatest distance from 1 of the norm of a quaternion in a file: rounding to float32 passes, a mix-up does not."""

@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
 
 from grasp_refine.core.arguments import describe_value
+from grasp_refine.core.array_types import Float, Int, Shaped
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.plurals import count_text
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool
 
+from grasp_refine.core.array_types import Bool
 from grasp_refine.core.short_repr import brief
 
 

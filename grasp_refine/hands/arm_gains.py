@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.files.defaults import LEVER_POWERS, SLIDE_LEVER_M

@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.geometry.body import Body
 from grasp_refine.hands.files.fingertips import PAD_NAMES, branch_ends
 from grasp_refine.hands.files.mimics import curves, mimic_map

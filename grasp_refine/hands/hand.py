@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import HandError, MeshError
 from grasp_refine.core.names import expand_user
 from grasp_refine.core.plurals import count_text

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.core.arguments import as_numbers, check_kind, check_shape
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import log_so3
 from grasp_refine.core.short_repr import brief

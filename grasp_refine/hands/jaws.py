@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.collision.culling import bounding_sphere
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import transform, transform_points
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.files.tree import LinkPair

@@ -6,10 +6,10 @@ from collections.abc import Container, Iterable
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.core.arguments import as_numbers, check_kind
 from grasp_refine.core.array_records import join, take
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import inverse, is_rigid
 from grasp_refine.hands.arm import Arm

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import CollisionError, GraspFileError, HandError
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.core.profiling import stage

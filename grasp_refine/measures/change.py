@@ -5,9 +5,9 @@ from __future__ import annotations
 from enum import StrEnum
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
 
 from grasp_refine.collision.query import Witness
+from grasp_refine.core.array_types import Bool, Float, Shaped
 from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.measures.geometry import mean_over_links
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.forces.quality import CONFIDENCE, Quality, quality
 from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.hands.chain import Chain

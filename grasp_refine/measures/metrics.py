@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.core.array_records import join, take
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import spread
 from grasp_refine.hands.hand import Hand

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_records import join
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.cores import thread_count
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import distances, inverse, pose_from_transform, transform_from_pose

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.plurals import first_of
 from grasp_refine.core.short_repr import brief
 from grasp_refine.validation.trials import PUSHED_M

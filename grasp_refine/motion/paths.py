@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.collision.culling import motion
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import distances, exp_so3, log_so3, transform
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.chain import Chain

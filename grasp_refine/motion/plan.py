@@ -12,10 +12,10 @@ from enum import IntEnum
 from math import inf
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.arguments import check_fields, check_kind
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import tangents
 from grasp_refine.core.short_repr import brief

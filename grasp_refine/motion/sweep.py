@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.collision.query import Witness, query
+from grasp_refine.core.array_types import Float
 from grasp_refine.motion.paths import HandPath
 from grasp_refine.scene.hand_object import HandObject, moving_links
 from grasp_refine.scene.scene import Scene

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
 
+from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.se3 import distances
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.arm_gains import DEFAULT_SPEED_RAD_S

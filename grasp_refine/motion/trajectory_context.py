@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.json_files import dumps
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.hands.files.mimics import followed

@@ -6,13 +6,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.spatial import KDTree
 
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.short_repr import brief
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 ON_SURFACE_M = 1e-6
 """Distance in metres from a face below which its direction is rounding, and counts as none."""
@@ -119,6 +121,7 @@ class _Triangles:
     @staticmethod
     def of(triangles: Float[np.ndarray, "F 3 3"], edge: float) -> _Triangles:
         """Return triangles, subdivided where an edge is longer than `edge` metres."""
+        from scipy.spatial import KDTree
         from trimesh.remesh import subdivide_to_size
 
         area = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)

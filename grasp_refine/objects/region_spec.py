@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.errors import GraspRefineError, did_you_mean, quote_value
 from grasp_refine.core.names import expand_user, is_file
 from grasp_refine.core.plurals import count_text

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text, first_of
 from grasp_refine.core.se3 import transform_from_pose

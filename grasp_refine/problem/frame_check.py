@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import query
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.se3 import distances, inverse, pose_from_transform, transform
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.closing.motion import Motion, closing_motion, motion_of
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Targets

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import matvec
 from grasp_refine.hands.chain import integrate
 from grasp_refine.refinement.grasp_problem import GraspProblem

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import HandError, did_you_mean
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import query
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.forces.equilibrium import mode_residual
 from grasp_refine.forces.quality import quality

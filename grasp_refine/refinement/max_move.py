@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from math import inf
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.core.arguments import check_fields
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3, log_so3
 

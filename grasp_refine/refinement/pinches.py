@@ -7,9 +7,9 @@ Grasps are lost whose fingers sit on an edge, off which the object rotates, or c
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Witness
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.forces.contact_points import ContactPoints
 from grasp_refine.forces.torques import joint_torques
 from grasp_refine.geometry.sampling import Candidates

@@ -8,8 +8,8 @@ bounded, by how far they move it.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import distances
 from grasp_refine.hands.chain import integrate
 from grasp_refine.hands.inverse_kinematics import ArmKinematics

@@ -9,9 +9,9 @@ from math import nan
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 from rich.text import Text
 
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.plurals import count_text, whole
 from grasp_refine.measures.change import MOVED_M, Change
 from grasp_refine.results.outcome import Outcome

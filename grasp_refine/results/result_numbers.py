@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Shaped
 
+from grasp_refine.core.array_types import Float, Shaped
 from grasp_refine.core.npz_files import NpzFile, load_npz
 from grasp_refine.measures.measures import RECORDED, SIDES
 from grasp_refine.validation.engine_table import ENGINES

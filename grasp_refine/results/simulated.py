@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
 from rich.console import Group
 from rich.text import Text
 
 from grasp_refine.core.array_records import take
+from grasp_refine.core.array_types import Bool
 from grasp_refine.results.console import html_of
 from grasp_refine.results.verdict import Agreement, held_line, should_hold
 from grasp_refine.scene.protocols.protocol import Protocol

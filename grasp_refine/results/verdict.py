@@ -6,9 +6,9 @@ from dataclasses import astuple, dataclass
 from math import isfinite
 
 import numpy as np
-from jaxtyping import Bool, Float
 from rich.text import Text
 
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.plurals import whole
 from grasp_refine.forces.quality import CONFIDENCE
 from grasp_refine.measures.formulas import COSTLY_M

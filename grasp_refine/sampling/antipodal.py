@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.se3 import matvec, tangents
 from grasp_refine.objects.object import Object
 from grasp_refine.sampling.jaw_frame import JawFrame

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
 
+from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.se3 import matvec, tangents, transform
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_records import join, take
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import matvec, pose_from_transform, transform_points
 from grasp_refine.forces.squeeze import contacts, grasp_forces

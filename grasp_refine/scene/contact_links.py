@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.collision.query import Witness
+from grasp_refine.core.array_types import Float
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Witness
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.se3 import inverse, tangents, transform_points
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.arguments import check_fields
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.errors import GraspRefineError, HandError, did_you_mean
 from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.hands.hand import Hand

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import query
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import ConventionError
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose
 from grasp_refine.hands.hand import Hand

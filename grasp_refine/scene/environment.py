@@ -8,9 +8,9 @@ from functools import cached_property
 from math import inf
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.core.arguments import as_numbers, check_fields, check_kind
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.names import is_valid
 from grasp_refine.core.plurals import count_text

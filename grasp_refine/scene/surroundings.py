@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from grasp_refine.collision.culling import bounding_sphere, motion
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query_items
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.profiling import count_scene_pairs, stage
 from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.geometry.body import Body

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from grasp_refine.core.arguments import as_numbers, check_kind
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.rpy_poses import transform_from_rpy
 from grasp_refine.core.se3 import inverse, is_rigid

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.closing.motion import Motion
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.cores import thread_count
 from grasp_refine.core.se3 import distances
 from grasp_refine.scene.protocols.contact_model import DEXGRASPBENCH_CONTACT, ContactModel

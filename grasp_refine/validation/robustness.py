@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from grasp_refine.closing.motion import STAGES, Motion
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.se3 import matrix_from_quaternion
 from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, Rows

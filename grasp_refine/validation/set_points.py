@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.closing.motion import Motion
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.linkages.servos import actuator_name
 from grasp_refine.validation.engines.mujoco.world import World

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from grasp_refine.closing.motion import STAGES, Motion
 from grasp_refine.core import profiling
 from grasp_refine.core.arguments import check_kind, check_shape
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.cores import thread_count
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transform, transform

@@ -9,9 +9,9 @@ from math import degrees
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from grasp_refine.core.array_records import take
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import labels, tallied
 from grasp_refine.scene.protocols.protocol import Protocol

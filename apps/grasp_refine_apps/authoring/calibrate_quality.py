@@ -17,12 +17,12 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import expit
 
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.array_records import join, take
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.forces.calibration import Calibration

@@ -22,11 +22,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.closing.motion import closing_motion
 from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import exp_se3, exp_so3, pose_from_transform, transform, transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, save_npz
 from grasp_refine.hands.chain import Chain

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from jaxtyping import Float
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import tangents
 from grasp_refine.hands.files.description import read_tree
 from grasp_refine.hands.files.shape import Primitive

@@ -10,10 +10,10 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
 from PIL import Image, ImageDraw
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.array_types import UInt8
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
 from grasp_refine.hands.hand import load_hand

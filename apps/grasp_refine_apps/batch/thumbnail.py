@@ -6,9 +6,9 @@ import io
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
 from PIL import Image, ImageDraw
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.objects.object import Object
 from grasp_refine_apps.report.drawing import INK, best_side, photograph, write
 from grasp_refine_apps.report.rasterizer import Camera, Model

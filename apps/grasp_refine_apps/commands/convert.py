@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Int
 from rich.console import Console
 from rich.progress import Progress
 from tyro.conf import DisallowNone, Positional, arg
 
+from grasp_refine.core.array_types import Int
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_no_input, check_writable
 from grasp_refine.core.plurals import count_text

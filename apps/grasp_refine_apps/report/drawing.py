@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 from PIL import Image, ImageFont
 
+from grasp_refine.core.array_types import Float
 from grasp_refine_apps.report.rasterizer import Camera, Model, count_owners, render
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.se3 import transform_points
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import pose_from_transform, transform, transform_from_pose
 from grasp_refine.grasps.formats.format import Load, Part, check_file_names, omission_notes
 from grasp_refine.grasps.formats.layout import SHADOW_FINGERS, SHADOW_THUMB, Layout, check_hand

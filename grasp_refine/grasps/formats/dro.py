@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform
 from grasp_refine.grasps.formats.dexgraspnet import angles_from_rotation, rotation_from_angles

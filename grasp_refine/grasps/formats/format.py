@@ -10,9 +10,9 @@ from pathlib import PurePosixPath
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Int
 
 from grasp_refine.core.arguments import describe_value
+from grasp_refine.core.array_types import Int
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.grasp_set import GraspSet

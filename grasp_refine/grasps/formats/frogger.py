@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.rpy_poses import transform_from_rpy
 from grasp_refine.core.se3 import inverse, pose_from_transform
 from grasp_refine.grasps.formats.format import SUCCESS, Format

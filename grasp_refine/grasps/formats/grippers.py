@@ -7,8 +7,8 @@ from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.grasps.formats.folders import UNUSUAL
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
 from grasp_refine.hands.hand import Hand

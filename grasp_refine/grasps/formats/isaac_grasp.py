@@ -19,8 +19,8 @@ from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import pose_from_transform, transform_from_pose
 from grasp_refine.grasps.formats.folders import disambiguate, object_folder, scale_folder
 from grasp_refine.grasps.formats.format import CONFIDENCE, SUCCESS, Load, Part, omission_notes, rows_by_object

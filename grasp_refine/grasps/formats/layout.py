@@ -9,8 +9,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.hands.hand import Hand

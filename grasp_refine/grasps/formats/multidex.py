@@ -17,8 +17,8 @@ from itertools import compress
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import pose_from_transform, transform, transform_from_pose
 from grasp_refine.grasps.formats.format import Load, Part, omission_notes
 from grasp_refine.grasps.formats.layout import ALLEGRO, LEAP, SHADOW_FINGERS, SHADOW_THUMB, Layout, check_hand, is_of

@@ -8,8 +8,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.names import is_valid
 from grasp_refine.grasps.poses import unit_poses, without_zero_quaternions

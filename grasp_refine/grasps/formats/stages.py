@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose
 from grasp_refine.grasps.formats.layout import Layout, layout_of

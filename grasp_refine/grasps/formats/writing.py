@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
 
+from grasp_refine.core.array_types import Int
 from grasp_refine.core.atomic_files import half_written_path, written_whole
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.npz_files import save_npz

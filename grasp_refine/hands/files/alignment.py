@@ -9,8 +9,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import inverse, transform
 from grasp_refine.hands.files.mimics import curves, mimic_map

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspRefineError, HandError, quote_value
 from grasp_refine.core.names import is_file, is_valid
 from grasp_refine.core.rpy_poses import transform_from_rpy

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float, Int
 
+from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, ellipsoid, hull, sphere
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import exp_so3, transform
 from grasp_refine.core.short_repr import brief

@@ -1,8 +1,7 @@
-"""A URDF file, checked element by element before yourdfpy reads it."""
+"""Elements of a URDF file, checked one by one."""
 
 from __future__ import annotations
 
-import io
 from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +13,6 @@ from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
 from grasp_refine.core.names import is_valid
 
 if TYPE_CHECKING:
-    import yourdfpy
     from lxml.etree import _Element
 
 SHAPES = ("box", "cylinder", "sphere", "mesh")
@@ -82,8 +80,8 @@ NUMBER_COUNTS: dict[str, dict[str, tuple[int, ...]]] = {
 """Attributes that hold numbers, and their valid counts."""
 
 
-def read_urdf(path: Path) -> yourdfpy.Robot:
-    """The links and joints of the URDF file `path` as yourdfpy's dataclasses, every number finite.
+def read_urdf(path: Path) -> _Element:
+    """Return the <robot> of the URDF file `path` with its links and joints, every number finite.
 
     Visuals are left out, meshes are not loaded, and no external entity is ever read. Whether links and
     joints form a tree is not checked here.
@@ -92,18 +90,12 @@ def read_urdf(path: Path) -> yourdfpy.Robot:
         HandError: the file is missing, not XML, not a URDF, or has more than `MAX_LINKS` links or joints, or an
             element of it is incomplete or malformed.
     """
-    import yourdfpy
-    from lxml import etree
-
     robot = _read_xml(path)
     for tag in ("link", "joint"):
         if (count := len(robot.findall(tag))) > MAX_LINKS:
             raise HandError(f"{path}: has {count} {tag}s, more than the {MAX_LINKS} that a hand may have")
     _check(robot, str(path))
-    robot.set("name", robot.get("name", path.stem))
-    # yourdfpy lets through whatever Python raises on a malformed element, so it is given a checked copy.
-    checked = io.BytesIO(etree.tostring(robot))
-    return yourdfpy.URDF.load(checked, build_scene_graph=False, load_meshes=False).robot
+    return robot
 
 
 def _read_xml(path: Path) -> _Element:
@@ -129,7 +121,7 @@ def _read_xml(path: Path) -> _Element:
             if entry.domain_name != "NAMESPACE":
                 reason = f"{' '.join(entry.message.split())}, line {entry.line}, column {entry.column}"
                 raise HandError(f"{path}: not XML ({reason})") from None
-        # Elements and attributes of Drake have an undeclared prefix; yourdfpy warns about it.
+        # Elements and attributes of Drake have an undeclared prefix.
         root = etree.fromstring(data, etree.XMLParser(**safe, recover=True))
         for element in root.iter():
             for name in [name for name in element.attrib if ":" in name and not name.startswith("{")]:
@@ -146,7 +138,7 @@ def _read_xml(path: Path) -> _Element:
 
 
 def _check(element: _Element, where: str) -> None:
-    """Check `element`, drop parts that are not read, and write its numbers as yourdfpy expects them."""
+    """Check `element`, drop parts that are not read, and separate its numbers by spaces."""
     tag = element.tag
     if tag in ("link", "joint") and element.get("name"):
         where = f"{where}: {tag} '{element.get('name')}'"
@@ -191,8 +183,8 @@ def _numbers(element: _Element, name: str, counts: tuple[int, ...], where: str) 
     return " ".join(map(repr, values))
 
 
-def read_visuals(path: Path) -> dict[str, list[yourdfpy.Visual | HandError]]:
-    """Visuals of each link in the URDF file `path`, which `read_urdf` leaves out; for a broken one, its error.
+def read_visuals(path: Path) -> dict[str, list[_Element | HandError]]:
+    """Return the <visual>s of each link in the URDF file `path`, which `read_urdf` leaves out; its error for a bad one.
 
     A visual whose material is defined elsewhere in the file gets that material, with the color in the file.
 
@@ -205,7 +197,7 @@ def read_visuals(path: Path) -> dict[str, list[yourdfpy.Visual | HandError]]:
     for material in robot.iterfind("link/visual/material"):
         if material.find("color") is not None:
             materials.setdefault(material.get("name"), material)
-    found: dict[str, list[yourdfpy.Visual | HandError]] = {}
+    found: dict[str, list[_Element | HandError]] = {}
     for link in robot.iterfind("link"):
         where = f"{path}: link '{link.get('name', '')}'"
         for visual in link.findall("visual"):
@@ -213,10 +205,7 @@ def read_visuals(path: Path) -> dict[str, list[yourdfpy.Visual | HandError]]:
     return found
 
 
-def _visual(visual: _Element, materials: dict[str | None, _Element], where: str) -> yourdfpy.Visual | HandError:
-    import yourdfpy
-    from lxml import etree
-
+def _visual(visual: _Element, materials: dict[str | None, _Element], where: str) -> _Element | HandError:
     material = visual.find("material")
     if material is not None and material.find("color") is None and material.get("name") in materials:
         visual.replace(material, deepcopy(materials[material.get("name")]))
@@ -224,10 +213,7 @@ def _visual(visual: _Element, materials: dict[str | None, _Element], where: str)
         _check(visual, where)
     except HandError as error:
         return error
-    robot = etree.Element("robot", name="robot")
-    etree.SubElement(robot, "link", name="link").append(visual)
-    read = yourdfpy.URDF.load(io.BytesIO(etree.tostring(robot)), build_scene_graph=False, load_meshes=False).robot
-    return read.links[0].visuals[0]
+    return visual
 
 
 def joints_fixed_and_mimicking(path: Path) -> tuple[str, ...]:

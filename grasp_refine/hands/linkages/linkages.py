@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
-from scipy.optimize import least_squares
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.linkages.yielding import YieldingMode
 
@@ -232,6 +231,8 @@ class _Closing:
 
     def _closed(self, value: float, x: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
         """Values of the passive joints at which the chains are closed, near `x`."""
+        from scipy.optimize import least_squares
+
         stiffness = np.sqrt(self.model.jnt_stiffness[self.passive])
         rest = self.model.qpos_spring[self.at]
 

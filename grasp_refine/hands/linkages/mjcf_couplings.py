@@ -8,8 +8,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.files.alignment import Mechanism, align
 from grasp_refine.hands.files.hand_toml import Contact, Coupled

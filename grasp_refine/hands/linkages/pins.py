@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations, product
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.array_types import Float
 from grasp_refine.geometry.body import Body
 from grasp_refine.hands.files.fingertips import branch_ends
 from grasp_refine.hands.files.mimics import curves, mimic_map

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.hands.files.alignment import Mechanism
 from grasp_refine.hands.files.defaults import Actuator
 from grasp_refine.hands.files.hand_toml import Coupled

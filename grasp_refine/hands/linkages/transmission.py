@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import log_so3
 from grasp_refine.hands.linkages.linkages import AT_LIMIT, Linkage
 from grasp_refine.hands.linkages.yielding import YieldingMode

@@ -11,7 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+
+from grasp_refine.core.array_types import Float
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+
+from grasp_refine.core.array_types import Float
 
 ROOT_LAG_S = 0.038
 """Time by which the root follows a moving set point: that of MuJoCo's weld, 2 x 0.95 x 0.02 s."""

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.short_repr import brief
 
 OBJECT_GEOM, OTHER_GEOM = -1, -2

@@ -6,10 +6,9 @@ from dataclasses import dataclass, fields, replace
 from math import log2, pi
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.stats import qmc
 
 from grasp_refine.core.array_records import take
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.core.short_repr import brief
@@ -106,6 +105,8 @@ def draw(factors: Factors, count: int, seed: int = 0) -> Draws:
     Raises:
         GraspRefineError: no number from 1 to `MAX_DRAWS`.
     """
+    from scipy.stats import qmc
+
     if not 1 <= count <= MAX_DRAWS:
         raise GraspRefineError(f"draws must be from 1 to {MAX_DRAWS}, got {count}")
     sobol = qmc.Sobol(d=16, scramble=True, seed=np.random.default_rng(seed))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool
+
+from grasp_refine.core.array_types import Bool
 
 Z_95 = 1.959963984540054
 """Quantile of the normal distribution for intervals of 95 %."""

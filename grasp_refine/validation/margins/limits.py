@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.array_records import join, take
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.short_repr import brief
 from grasp_refine.scene.protocols.protocol import AXES
 from grasp_refine.validation.engines.mujoco.stepping import Conditions

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import tangents, transform_points
 from grasp_refine.geometry.body import Body
 from grasp_refine.scene.hand_object import HandObject

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, UInt8
+
+from grasp_refine.core.array_types import Float, UInt8
 
 Color = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""

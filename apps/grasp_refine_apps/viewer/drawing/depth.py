@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, UInt8
 
+from grasp_refine.core.array_types import Bool, Float, Float32, Int, UInt8
 from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece

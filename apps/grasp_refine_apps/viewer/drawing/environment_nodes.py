@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import viser
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.scene.environment import Environment

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import transform, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere

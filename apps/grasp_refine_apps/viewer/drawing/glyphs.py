@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Float32
 
+from grasp_refine.core.array_types import Float, Float32
 from grasp_refine.core.se3 import tangents, transform_points
 from grasp_refine.geometry.body import Body
 from grasp_refine.scene.hand_object import HandObject

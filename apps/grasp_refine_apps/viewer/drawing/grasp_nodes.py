@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import viser
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import tangents, transform, transform_points
 from grasp_refine.forces.wrench import PLANNING_FRICTION
 from grasp_refine.geometry.body import Body

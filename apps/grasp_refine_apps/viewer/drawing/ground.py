@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 import viser
-from jaxtyping import Float, UInt8
 from scipy.ndimage import gaussian_filter
 
+from grasp_refine.core.array_types import Float, UInt8
 from grasp_refine_apps.viewer.drawing.camera import UP, FirstCamera
 
 SHADOW_PIXELS = 96

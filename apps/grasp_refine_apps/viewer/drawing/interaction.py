@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 import viser
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
 from grasp_refine_apps.viewer.drawing.picking import hit_mesh, nearest_on_surface
 from grasp_refine_apps.viewer.drawing.scene_nodes import HandMeshes, Meshes, PointMarkers, place

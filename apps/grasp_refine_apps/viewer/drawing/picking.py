@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Integer
 
+from grasp_refine.core.array_types import Float, Integer
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.sampling import CLEARANCE, internal

@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 import viser
-from jaxtyping import Float, Int
 
+from grasp_refine.core.array_types import Float, Int
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine_apps.viewer.drawing.colors import Color
 from grasp_refine_apps.viewer.drawing.scene_nodes import Meshes

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 import viser
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine_apps.viewer.drawing.colors import Color, tinted
 from grasp_refine_apps.viewer.drawing.depth import DepthPatch

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt32
 
+from grasp_refine.core.array_types import Float, Float32, Int, UInt32
 from grasp_refine.core.errors import HandError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hands.chain import Chain

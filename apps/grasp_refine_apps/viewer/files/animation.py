@@ -8,8 +8,8 @@ from html import escape
 
 import numpy as np
 import viser
-from jaxtyping import Float, UInt8
 
+from grasp_refine.core.array_types import Float, UInt8
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object

@@ -9,9 +9,9 @@ from functools import partial
 
 import numpy as np
 import viser
-from jaxtyping import UInt8
 from PIL import Image
 
+from grasp_refine.core.array_types import UInt8
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.viewer.files.animation import NOTHING_TO_SHOW
 from grasp_refine_apps.viewer.jobs.controller import Controller

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from jaxtyping import Bool, Int
 
+from grasp_refine.core.array_types import Bool, Int
 from grasp_refine.measures.metrics import Metrics, metrics_of
 from grasp_refine.problem.problem import Group
 from grasp_refine_apps.viewer.model.collection import Collection

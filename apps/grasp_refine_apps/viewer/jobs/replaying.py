@@ -10,8 +10,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
 
+from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import inverse, transform_from_pose
 from grasp_refine.hands.files.mujoco_messages import unlogged

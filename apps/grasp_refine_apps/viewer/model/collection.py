@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
 
 from grasp_refine.core.array_records import take
+from grasp_refine.core.array_types import Float, Int, Shaped
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object

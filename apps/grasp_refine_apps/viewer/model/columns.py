@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Int, Shaped
 
+from grasp_refine.core.array_types import Bool, Int, Shaped
 from grasp_refine.measures.measures import MEASURES, VALIDATED, Better, Measure
 from grasp_refine.results.result_numbers import held_entry
 from grasp_refine.validation.engine_table import ENGINES

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Witness, query
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.forces.contact_points import ContactPoints
 from grasp_refine.forces.squeeze import contacts, grasp_forces

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Int
 
+from grasp_refine.core.array_types import Int
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.columns import CHANGE, HELD, STATUS, VERDICT_CHOICES, Column
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions, Faces, Region

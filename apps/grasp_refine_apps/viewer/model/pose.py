@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.grasps.grasp_set import Targets
 from grasp_refine.problem.problem import aim
 from grasp_refine.scene.scene import Scene

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Shaped
 
+from grasp_refine.core.array_types import Float, Shaped
 from grasp_refine.core.npz_files import NpzFile, load_npz
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps, match_joints

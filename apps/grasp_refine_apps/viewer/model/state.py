@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH

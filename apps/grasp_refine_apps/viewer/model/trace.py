@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.refinement.iteration_state import IterationState
 from grasp_refine.refinement.phases import PHASES
 from grasp_refine.scene.hand_object import HandObject

@@ -8,8 +8,8 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.refinement.config import Config
 from grasp_refine.results.outcome import Outcome

@@ -5,8 +5,8 @@ from __future__ import annotations
 from html import escape
 
 import numpy as np
-from jaxtyping import Float, Int
 
+from grasp_refine.core.array_types import Float, Int
 from grasp_refine_apps.viewer.model.columns import Column
 
 NUM_BINS, HEIGHT_PX = 32, 46

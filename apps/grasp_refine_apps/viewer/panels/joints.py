@@ -6,8 +6,8 @@ from functools import partial
 
 import numpy as np
 import viser
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.hands.hand import Hand
 from grasp_refine.scene.contact_selection import link_groups
 from grasp_refine_apps.viewer.jobs.controller import Controller

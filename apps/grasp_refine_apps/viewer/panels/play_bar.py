@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import viser
-from jaxtyping import Shaped
 
+from grasp_refine.core.array_types import Shaped
 from grasp_refine_apps.viewer.model.recording import Recording
 from grasp_refine_apps.viewer.panels.widgets import LiveInput, on_click
 

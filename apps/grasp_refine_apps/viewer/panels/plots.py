@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import viser
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine_apps.viewer.model.counted import REMAINING
 from grasp_refine_apps.viewer.model.recording import subsample
 from grasp_refine_apps.viewer.model.state import State

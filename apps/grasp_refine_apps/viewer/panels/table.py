@@ -6,8 +6,8 @@ from html import escape
 from math import ceil
 
 import numpy as np
-from jaxtyping import Int
 
+from grasp_refine.core.array_types import Int
 from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.columns import FAILED_TEXT, HELD, HELD_TEXT, HERE, STATUS, Column

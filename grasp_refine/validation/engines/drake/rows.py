@@ -9,11 +9,11 @@ from functools import lru_cache
 from queue import Empty, SimpleQueue
 
 import numpy as np
-from jaxtyping import Bool, Float
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.analysis import Simulator
 
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.validation.engines.drake.build import build_plant
 from grasp_refine.validation.engines.drake.plant import Plant, rigid

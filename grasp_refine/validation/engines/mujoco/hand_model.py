@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.files.mimics import Curves
 from grasp_refine.hands.hand import Actuator, Hand

@@ -8,10 +8,10 @@ from functools import cached_property
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from mujoco.batch import Batch, SimulationError
 
 from grasp_refine.core.array_records import take
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.files.mujoco_messages import unlogged

@@ -12,8 +12,8 @@ from itertools import combinations
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import quaternion_from_matrix
 from grasp_refine.hands.files.inertia import DENSITY, Inertia
 from grasp_refine.hands.files.mimics import Curves

@@ -11,9 +11,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
 
 from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import pose_from_transform

@@ -24,8 +24,8 @@ from math import inf
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
 
+from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3, inverse, tangents, transform
 from grasp_refine.hands.linkages.servos import actuator_name

@@ -5,7 +5,8 @@ from __future__ import annotations
 from math import inf
 
 import numpy as np
-from jaxtyping import Float
+
+from grasp_refine.core.array_types import Float
 
 
 class Drives:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.validation.engines.mujoco.parameters import Parameters, parameters_of
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, StepCallback

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial import ConvexHull
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform
 from grasp_refine.validation.engines.physx.binding import physx, pose_of_transform
@@ -80,6 +79,8 @@ def shape_of(
 
 
 def _hull(points: np.ndarray, material: physx.PhysxMaterial) -> physx.PhysxCollisionShape:
+    from scipy.spatial import ConvexHull
+
     corners = points[ConvexHull(points).vertices] / HULL_UNIT_M
     return physx.PhysxCollisionShapeConvexMesh(corners.astype(np.float32), np.full(3, HULL_UNIT_M), material)
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.validation.engines.physx.binding import Entity, Pose, Scene, physx
 from grasp_refine.validation.engines.physx.blueprint import Blueprint, Body
 from grasp_refine.validation.engines.physx.tendons import STIFFNESS as TENDON_STIFFNESS
