@@ -2,23 +2,25 @@
 
 import numpy as np
 
-from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query_items
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.geometry.body import Body
 
 
 def query_near(
     pairs: Pairs,
+    pair: np.ndarray,
     bound: np.ndarray,
     T_a: np.ndarray,
     T_b: np.ndarray,
     cutoff: np.ndarray,
     previous: Witness | None,
 ) -> Witness:
-    """Query the pairs (M, P) that may penetrate, or have no cutoff; the others are FAR, at their bounds.
+    """Query the items (M, P) that may penetrate, or have no cutoff; the others are FAR, at their bounds.
 
     Args:
-        pairs: The P pairs.
+        pairs: Pairs of bodies.
+        pair: Pair of each item (M, P).
         bound: Lower bounds (M, P) of the signed distances; NaN where a pose is not finite.
         T_a: Poses (M, P, 4, 4) of the first bodies.
         T_b: Poses of the second bodies.
@@ -29,7 +31,7 @@ def query_near(
     if apart.all():
         return nothing_near(bound)
     # No distance is below NaN: such pairs are skipped.
-    found = query(pairs, T_a, T_b, cutoff=np.where(apart, np.nan, cutoff), previous=previous)
+    found = query_items(pairs, pair, T_a, T_b, cutoff=np.where(apart, np.nan, cutoff), previous=previous)
     found.distance[apart], found.status[apart] = bound[apart], QueryStatus.FAR
     return found
 

@@ -248,17 +248,17 @@ def query_items(
     cutoff: np.ndarray | float = np.inf,
     previous: Witness | None = None,
 ) -> Witness:
-    """Return the closest or deepest points of M items, each a body pair at some poses; all shapes (M, ...).
+    """Return the closest or deepest points of items of any shape (...), each a body pair at some poses.
 
     Args:
         pairs: The P body pairs.
-        pair: Body pair (M,) of each item.
-        T_world_a: Poses of the first bodies (M, 4, 4).
-        T_world_b: Poses of the second bodies (M, 4, 4).
-        cutoff: Distance (metres; one number or one per item) beyond which items are not queried.
+        pair: Body pair (...) of each item.
+        T_world_a: Poses of the first bodies (..., 4, 4).
+        T_world_b: Poses of the second bodies (..., 4, 4).
+        cutoff: Distance (metres; one number or one per item) beyond which items are not queried; NaN: not at all.
         previous: The answer at nearby poses of the same items.
     """
-    return _search(pairs, pair, T_world_a, T_world_b, np.full(len(pair), cutoff, dtype=np.float64), previous)
+    return _search(pairs, pair, T_world_a, T_world_b, np.full(np.shape(pair), cutoff, dtype=np.float64), previous)
 
 
 def _search(

@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.array_records import take
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.profiling import stage
 from grasp_refine.forces.wrench import PLANNING_FRICTION, RIDGE, ContactForces, contact_forces
 from grasp_refine.witness.face_patch import NUM_CORNERS, FacePairs, FacePatches
@@ -40,12 +40,18 @@ class LinkPatches:
         touching: Bool[np.ndarray, "N L"],
         T_world_link: Float[np.ndarray, "N L 4 4"],
         witness: Witness,
+        number: Int[np.ndarray, " N"] | None = None,
     ) -> LinkPatches | None:
-        """Find the patches of the links that touch (N, L); None where no link can have any."""
+        """Find the patches of the links that touch (N, L); None where no link can have any.
+
+        `number` (N,) is the index of each grasp's object; None: the first.
+        """
         if not faces.flat.any():
             return None
-        row, link = np.nonzero(touching & witness.valid & faces.flat)
-        found = faces.patches(link, T_world_link[row, link], witness.rows((row, link)), np.ones(len(row), dtype=bool))
+        number = np.zeros(len(touching), dtype=np.int64) if number is None else number
+        row, link = np.nonzero(touching & witness.valid & faces.flat[number])
+        at = link, number[row], T_world_link[row, link], witness.rows((row, link))
+        found = faces.patches(*at, np.ones(len(row), dtype=bool))
         some = np.flatnonzero(found.count)
         row, link = row[some], link[some]
         slot = np.arange(len(row)) - np.searchsorted(row, row)
@@ -146,7 +152,7 @@ class ContactPoints:
     def forces_under(
         self,
         loads: Float[np.ndarray, "N P 6"],
-        center: Float[np.ndarray, " 3"],
+        center: Float[np.ndarray, "*#N 3"],
         *,
         axes: Float[np.ndarray, "N 3 3"],
         friction: float = PLANNING_FRICTION,
@@ -166,13 +172,14 @@ class ContactPoints:
             start: As there.
         """
         parts = []
+        center = np.broadcast_to(center, (len(self.point), 3))
         for rows, points in self.groups():
             K = points.point.shape[1]
             found = contact_forces(
                 loads[rows],
                 points.point,
                 points.normal,
-                center,
+                center[rows],
                 friction=friction,
                 ridge=ridge,
                 forms=None if forms is None else forms(rows, points),

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.array_records import take
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import cross, hat, matvec
 from grasp_refine.forces.contact_points import SLOTS, ContactPoints, LinkPatches, patches_columns
@@ -27,7 +27,6 @@ from grasp_refine.forces.wrench import (
     PLANNING_FRICTION,
     RIDGE,
     basis_spin,
-    center_of_mass,
     grasp_map,
     turn_loads,
 )
@@ -77,12 +76,10 @@ class Balance:
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """The best contact forces of grasps on one object, and how their unbalanced part changes as the hand moves."""
+    """The best contact forces of grasps, and how their unbalanced part changes as the hand moves."""
 
     chain: Chain
     """Kinematics of the links whose contacts count."""
-    center: Float[np.ndarray, " 3"]
-    """The object's centre of mass, world frame."""
     infeasible: InfeasibleTorques
     """Torques that the hand cannot make, which are unbalanced too."""
     loads: Float[np.ndarray, "P 6"]
@@ -91,9 +88,9 @@ class Equilibrium:
     """Coefficient of sliding friction of all contacts."""
 
     @staticmethod
-    def of(hand: Hand, chain: Chain, center: np.ndarray, friction: float = PLANNING_FRICTION) -> Equilibrium:
+    def of(hand: Hand, chain: Chain, friction: float = PLANNING_FRICTION) -> Equilibrium:
         """Return the equilibrium of a hand's grasps."""
-        return Equilibrium(chain, center, InfeasibleTorques.of(hand, chain), LOADS, friction)
+        return Equilibrium(chain, InfeasibleTorques.of(hand, chain), LOADS, friction)
 
     @stage("forces")
     def forces(
@@ -101,6 +98,7 @@ class Equilibrium:
         touching: Bool[np.ndarray, "M L"],
         witness: Witness,
         frames: Frames,
+        center: Float[np.ndarray, "M 3"],
         axes: Float[np.ndarray, "M 3 3"],
         last: Balance | None = None,
         patches: LinkPatches | None = None,
@@ -111,6 +109,7 @@ class Equilibrium:
             touching: Mask (M, L) of the links that push.
             witness: Witness points of all links and the object, world frame.
             frames: Poses of the links.
+            center: Centre of mass (M, 3) of each grasp's object, world frame.
             axes: Rotations of the grasps' frames, in which loads are, and to which friction pyramids are aligned; they
                 rest while the hand moves.
             last: Solutions of the same grasps nearby, to start from.
@@ -121,7 +120,7 @@ class Equilibrium:
         points = ContactPoints.of(touching, witness, patches)
         found = points.forces_under(
             turn_loads(self.loads, axes),
-            self.center,
+            center,
             axes=axes,
             friction=self.friction,
             forms=self.forms_at(frames),
@@ -137,6 +136,7 @@ class Equilibrium:
         columns: np.ndarray,
         witness: Witness,
         frames: Frames,
+        center: Float[np.ndarray, "M 3"],
         axes: Float[np.ndarray, "M 3 3"],
         E: np.ndarray,
         K_link: np.ndarray,
@@ -150,6 +150,7 @@ class Equilibrium:
             columns: The links (C,) that push in any of the grasps.
             witness: Witness points of these (M, C).
             frames: Poses of the links.
+            center: As for `forces`.
             axes: As for `forces`.
             E: Tangents (M, C, 3, 2) at the normals.
             K_link: Curvatures (M, C, 2, 2) of the links in that basis, 1/m.
@@ -164,24 +165,32 @@ class Equilibrium:
         moving = _Moving(p, n, motion, there[..., 0], np.broadcast_to(columns, p.shape[:2]), f, local)
         patched = np.zeros(len(p), dtype=bool) if patches is None else patches.faces.count.any(axis=1)
         if patches is None or not patched.any():
-            return self._rows(balance, moving, columns, frames, axes, shared=False)
+            return self._rows(balance, moving, columns, frames, center, axes, shared=False)
         plain, flat = np.flatnonzero(~patched), np.flatnonzero(patched)
         corners = _with_corners(take(moving, flat), columns, take(patches, flat), take(balance, flat))
         residual, J = self._rows(
-            take(balance, flat), corners, corners.links, take(frames, flat), axes[flat], shared=True
+            take(balance, flat), corners, corners.links, take(frames, flat), center[flat], axes[flat], shared=True
         )
         every = np.empty((len(p), *residual.shape[1:])), np.empty((len(p), *J.shape[1:]))
         for array, part in zip(every, (residual, J), strict=True):
             array[flat] = part
         if len(plain):
-            few = take(balance, plain), take(moving, plain), columns, take(frames, plain), axes[plain]
+            few = take(balance, plain), take(moving, plain), columns, take(frames, plain), center[plain], axes[plain]
             parts = self._rows(*few, shared=False)
             for array, part in zip(every, parts, strict=True):
                 array[plain] = part
         return every
 
     def _rows(
-        self, balance: Balance, moving: _Moving, link: np.ndarray, frames: Frames, axes: np.ndarray, *, shared: bool
+        self,
+        balance: Balance,
+        moving: _Moving,
+        link: np.ndarray,
+        frames: Frames,
+        center: np.ndarray,
+        axes: np.ndarray,
+        *,
+        shared: bool,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals and their derivative, as `rows`, at points that move with links, (C,) or (M, C).
 
@@ -195,7 +204,7 @@ class Equilibrium:
         forms = velocities(twists, p)
         eye, arm = np.zeros((2, M, 3, C, 3))
         eye[:] = np.eye(3)[:, None]
-        arm[:] = ((p - self.center) / LEVER_M)[:, None]
+        arm[:] = ((p - center[:, None]) / LEVER_M)[:, None]
         a = np.concatenate([eye, cross(eye, arm), forms], axis=1)
         b = np.concatenate([np.zeros_like(eye), eye / LEVER_M, twists[..., 3:]], axis=1)
         # Forces turn with their basis, df = Omega x f: d(a . f) = (f x a) . Omega + (f x b) . dx.
@@ -203,7 +212,7 @@ class Equilibrium:
         J = (covector.reshape(M, -1, C * 6) @ motion).reshape(M, P, a.shape[1], -1)
         if len(self.infeasible):
             J[:, :, 6:] += self.infeasible.changes(frames, link, p, f)
-        G, _ = grasp_map(np.where(moving.there[..., None], p, np.nan), n, self.center, forms, axes)
+        G, _ = grasp_map(np.where(moving.there[..., None], p, np.nan), n, center, forms, axes)
         # With K = L L^T, residuals L^T u and rows L^-1 J have the squares u^T K u and the gradient J^T u.
         L = np.linalg.cholesky(np.eye(G.shape[2]) + self._compliance(G, local, link if shared else None) / RIDGE)
         residual = matvec(L.mT, balance.unbalanced)
@@ -335,9 +344,9 @@ def mode_residual(
 
     It is per unit of total pressure, over `infeasible_torques.LEVER_M`; `grip` is that of the task's `Demand`.
     """
-    equilibrium = Equilibrium.of(hand, chain, center_of_mass(obj), PLANNING_FRICTION * grip)
+    equilibrium = Equilibrium.of(hand, chain, PLANNING_FRICTION * grip)
     none, axes = np.zeros((len(frames.q), 1, 6)), frames.T_world_root[:, :3, :3]
     found = points.forces_under(
-        none, equilibrium.center, friction=equilibrium.friction, forms=equilibrium.forms_at(frames), axes=axes
+        none, obj.center_of_mass, friction=equilibrium.friction, forms=equilibrium.forms_at(frames), axes=axes
     )
     return np.abs(found.unbalanced[:, 0, -len(hand.modes) :]).max(axis=1)

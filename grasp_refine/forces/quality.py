@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_records import take
+from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.equilibrium import PUSH_SHARE, Equilibrium
@@ -17,7 +17,7 @@ from grasp_refine.forces.infeasible_torques import mode_shares
 from grasp_refine.forces.squeeze import contacts
 from grasp_refine.forces.stiffness import object_motion
 from grasp_refine.forces.torques import GIVE_RAD, joint_torques, limit_shares
-from grasp_refine.forces.wrench import PLANNING_FRICTION, center_of_mass, turn_loads
+from grasp_refine.forces.wrench import PLANNING_FRICTION, turn_loads
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
@@ -169,9 +169,9 @@ def quality(
     check_kind("frames", frames, Frames)
     check_kind("witness", witness, Witness)
     points = contacts(hand, obj, chain.links, witness, frames.T_world_link, faces)
-    center = center_of_mass(obj)
+    center = obj.center_of_mass
     demand = demand or Demand()
-    equilibrium = Equilibrium.of(hand, chain, center, PLANNING_FRICTION * demand.grip)
+    equilibrium = Equilibrium.of(hand, chain, PLANNING_FRICTION * demand.grip)
     axes = frames.T_world_root[:, :3, :3]
     pushes = turn_loads(PUSHES, axes)
     forms, none = equilibrium.forms_at(frames), np.zeros((len(pushes), 1, 6))

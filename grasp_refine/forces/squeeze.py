@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.core.array_records import take
+from grasp_refine.core.array_types import Float
 from grasp_refine.forces.contact_points import SLOTS, ContactPoints, LinkPatches
 from grasp_refine.forces.squeeze_forces import SqueezeForces
 from grasp_refine.forces.torques import MIN_LIMIT, joint_torques, limit_shares, tensions, torque_bounds
-from grasp_refine.forces.wrench import RIDGE, ContactForces, center_of_mass
+from grasp_refine.forces.wrench import RIDGE, ContactForces
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
@@ -159,7 +159,7 @@ def grasp_forces(
         axes: Rotations of the hand, to whose axes friction pyramids are aligned.
         ridge: As for `contact_forces`.
     """
-    found = points.forces_under(np.zeros((len(axes), 1, 6)), center_of_mass(obj), ridge=ridge, axes=axes)
+    found = points.forces_under(np.zeros((len(axes), 1, 6)), obj.center_of_mass, ridge=ridge, axes=axes)
     return ContactForces(*(getattr(found, field.name)[:, 0] for field in fields(found)))
 
 
@@ -182,7 +182,7 @@ def contacts(
         faces: Flat faces of links and object; None: found here.
     """
     touching = CONTACTS.choose(hand, links, witness)
-    faces = faces or face_pairs(hand, obj, links)
+    faces = faces or face_pairs(hand, (obj,), links)
     return ContactPoints.of(touching, witness, LinkPatches.of(faces, touching, T_world_link, witness))
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.forces.contact_points import ContactPoints
-from grasp_refine.forces.wrench import center_of_mass, turn_loads
+from grasp_refine.forces.wrench import turn_loads
 from grasp_refine.objects.object import Object
 
 STRONG_PUSH_SHARE = 0.33
@@ -35,4 +35,4 @@ def strong_push_residual(
     """
     loads = turn_loads(STRONG_PUSHES, axes)
     friction = STRONG_PUSH_FRICTION * grip
-    return points.forces_under(loads, center_of_mass(obj), friction=friction, axes=axes).residual.max(axis=1)
+    return points.forces_under(loads, obj.center_of_mass, friction=friction, axes=axes).residual.max(axis=1)

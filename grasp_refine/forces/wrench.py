@@ -8,18 +8,13 @@ What is left is the wrench residual: 0 where the hand can squeeze the object wit
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import hat
 from grasp_refine.forces.programs import solve_programs
-from grasp_refine.hands.files.inertia import Inertia
-
-if TYPE_CHECKING:
-    from grasp_refine.objects.object import Object
 
 PLANNING_FRICTION = 0.15
 """Friction that forces are planned with for the protocol `dexgraspbench`: a quarter of its friction, so that they hold
@@ -67,7 +62,7 @@ def contact_forces(
     loads: Float[np.ndarray, "N P 6"] | Float[np.ndarray, "P 6"],
     point: Float[np.ndarray, "N K 3"],
     normal: Float[np.ndarray, "N K 3"],
-    center: Float[np.ndarray, " 3"],
+    center: Float[np.ndarray, "*#N 3"],
     *,
     friction: float = PLANNING_FRICTION,
     ridge: float = RIDGE,
@@ -89,7 +84,7 @@ def contact_forces(
             not, in the frame of the contacts (see `turn_loads`).
         point: Contact points (N, K, 3) in metres; a contact with any NaN, in point or normal, is ignored.
         normal: Unit normals (N, K, 3) from link to object, into the object.
-        center: The point (3,) that torques are about, the object's centre of mass.
+        center: The point that torques are about, the object's centre of mass: (3,), or (N, 3) of several objects.
         friction: Coefficient of friction.
         ridge: Weight of the squared forces, above 0: it makes the solution unique. Its cost is in the residual,
             about as large as the weight itself.
@@ -115,7 +110,7 @@ def contact_forces(
 def grasp_map(
     point: Float[np.ndarray, "N K 3"],
     normal: Float[np.ndarray, "N K 3"],
-    center: Float[np.ndarray, " 3"],
+    center: Float[np.ndarray, "*#N 3"],
     forms: Float[np.ndarray, "N E K 3"] | None = None,
     axes: Float[np.ndarray, "*N 3 3"] = WORLD_AXES,
 ) -> tuple[Float[np.ndarray, "N K R 3"], Float[np.ndarray, "N K 3 3"]]:
@@ -130,7 +125,7 @@ def grasp_map(
     """
     there = np.isfinite(point).all(axis=-1) & np.isfinite(normal).all(axis=-1)
     n = np.where(there[..., None], normal, [0.0, 0.0, 1.0])
-    r = np.where(there[..., None], point - center, 0.0)
+    r = np.where(there[..., None], point - center[..., None, :], 0.0)
     basis = np.concatenate([n[..., None], basis_tangents(n, axes)], axis=-1)
     parts = [basis, hat(r) @ basis / LEVER_M]
     if forms is not None:
@@ -173,14 +168,3 @@ def basis_spin(
 def turn_loads(loads: Float[np.ndarray, "P 6"], axes: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "N P 6"]:
     """Loads (N, P, 6) in the frame of the contacts, from loads in the axes of each grasp."""
     return np.concatenate([part @ axes.mT for part in np.split(loads, 2, axis=-1)], axis=-1)
-
-
-def center_of_mass(obj: Object) -> Float[np.ndarray, " 3"]:
-    """Centre of mass (3,) of an object of uniform density in its own frame, metres.
-
-    A closed mesh determines it: the pieces overlap a little and fill small hollows. An open surface has no volume:
-    there the pieces determine it, each with its own volume.
-    """
-    if obj.mesh.is_volume:
-        return np.asarray(obj.mesh.center_mass, dtype=np.float64)
-    return Inertia.of(obj.body.pieces).centre

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeGuard, cast
 import numpy as np
 
 from grasp_refine.core.arguments import check_kind, describe_value, is_number
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import AssetError, MeshError
 from grasp_refine.core.names import is_folder
 from grasp_refine.core.plurals import count_text
@@ -86,6 +87,17 @@ class Object:
     def volume(self) -> float:
         """Sum of the volumes of its convex pieces, m^3."""
         return Inertia.of(self.body.pieces, density=1.0).mass
+
+    @cached_property
+    def center_of_mass(self) -> Float[np.ndarray, " 3"]:
+        """Centre of mass (3,) at uniform density in its own frame, metres.
+
+        A closed mesh determines it: the pieces overlap a little and fill small hollows. An open surface has no volume:
+        there the pieces determine it, each with its own volume.
+        """
+        if self.mesh.is_volume:
+            return np.asarray(self.mesh.center_mass, dtype=np.float64)
+        return Inertia.of(self.body.pieces).centre
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -8,11 +8,13 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from grasp_refine.closing.motion import Motion, closing_motion
+from grasp_refine.core.array_records import take
 from grasp_refine.hands.self_collision import ignored_overlaps
 from grasp_refine.measures.measures import SIDES
 from grasp_refine.problem.input_cache import InputCache
 from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.refined import RefinedGrasps
+from grasp_refine.problem.together import sets_of, together
 from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.closing import closing_notes
@@ -33,8 +35,8 @@ if TYPE_CHECKING:
 class Listener:
     """Callbacks of the progress of `refine_problem`; a subclass overrides the ones that it needs."""
 
-    def refining(self, group: Group) -> Progress | None:
-        """Return the progress callback of the refinement of a group, which begins now."""
+    def refining(self, groups: Sequence[Group]) -> Progress | None:
+        """Return the progress callback of the refinement of groups that are refined together, which begins now."""
         return None
 
     def note(self, line: str) -> None:
@@ -75,8 +77,9 @@ def refine_problem(
     config, listener = config or Config(), listener or Listener()
     worlds = worlds_of(problem, cache=cache, on_note=listener.note) if engines else None
     parts = [
-        refine_group(group, config, progress=listener.refining(group), on_note=listener.note)
-        for group in problem.groups
+        part
+        for groups in sets_of(problem.groups, config)
+        for part in refine_together(groups, config, progress=listener.refining(groups), on_note=listener.note)
     ]
     outcome = Outcome.join(parts).select(problem.order)
     if ignored := ignored_overlaps(problem.hand, outcome.q):
@@ -112,24 +115,53 @@ def refine_group(
     Raises:
         GraspRefineError: a link that should touch does not exist.
     """
-    scene, prepared = group.scene, prepared or HandObject.of(group.scene)
+    (outcome,) = refine_together(
+        [group],
+        config,
+        prepared=prepared,
+        progress=progress,
+        on_iteration=on_iteration,
+        on_opening=on_opening,
+        on_note=on_note,
+    )
+    return outcome
+
+
+def refine_together(
+    groups: Sequence[Group],
+    config: Config,
+    *,
+    prepared: HandObject | None = None,
+    progress: Progress | None = None,
+    on_iteration: IterationCallback | None = None,
+    on_opening: Progress | None = None,
+    on_note: Callable[[str], None] = lambda line: None,
+) -> list[Outcome]:
+    """Refine groups of a set of `sets_of` in one batch; arguments are as for `refine_group`."""
+    scene = together([group.scene for group in groups])
+    prepared = prepared or HandObject.of(scene)
     refinement = refine(scene, config, progress, on_iteration, prepared=prepared)
     for note in () if refinement.closed_m is None else closing_notes(refinement.closed_m, jaws=True):
         on_note(note)
-    after = replace(scene, T_world_root=refinement.T_world_root, q=refinement.q)
-    outcome = compare(
-        scene,
-        refinement,
-        closing_motion(after, prepared, on_opening, pressure=config.pressure),
-        margin=config.margin,
-        clearance=clearances(config, scene.hand, prepared.chain),
-        selection=config.contact_selection,
-        name=group.object,
-        scale=group.scale,
-        row=group.rows,
-        index=group.index,
-    )
-    return replace(outcome, labels=group.grasps.labels)
+    outcomes, begin = [], 0
+    for group in groups:
+        before, found = group.scene, take(refinement, slice(begin, begin + len(group.rows)))
+        begin += len(group.rows)
+        after = replace(before, T_world_root=found.T_world_root, q=found.q)
+        outcome = compare(
+            before,
+            found,
+            closing_motion(after, HandObject.of(before), on_opening, pressure=config.pressure),
+            margin=config.margin,
+            clearance=clearances(config, scene.hand, prepared.chain),
+            selection=config.contact_selection,
+            name=group.object,
+            scale=group.scale,
+            row=group.rows,
+            index=group.index,
+        )
+        outcomes.append(replace(outcome, labels=group.grasps.labels))
+    return outcomes
 
 
 def simulate_refined(

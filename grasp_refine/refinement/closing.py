@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
 
-from grasp_refine.collision.query import query
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import transform_points
@@ -72,9 +71,7 @@ def is_open(scene: Scene, prepared: HandObject) -> Bool[np.ndarray, " N"]:
     posed = scene.posed
     T = np.where(posed[:, None, None], scene.T_world_root, np.eye(4))
     T_link = prepared.chain(T, np.where(posed[:, None], scene.q, 0.0)).T_world_link
-    witness = query(
-        prepared.pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape), cutoff=CONTACTS.cutoff(hand, links)
-    )
+    witness = prepared.query(scene.number, T_link, cutoff=CONTACTS.cutoff(hand, links))
     near = CONTACTS.choose(hand, links, witness)
     if hand.has_two_fingers:
         near &= np.where(witness.valid, witness.distance, np.inf) <= CONTACT_DISTANCE_M
@@ -107,7 +104,7 @@ def close_hands(
         return ClosedHands(q, moved)
     fingers = _Fingers.of(hand, prepared, closing)
     start = np.clip(q[rows], hand.lower, hand.upper)
-    q[rows], stopped = fingers.close(scene.T_world_root[rows], start, gap)
+    q[rows], stopped = fingers.close(scene.number[rows], scene.T_world_root[rows], start, gap)
     q[rows] = np.where(stopped, q[rows], scene.q[rows])
     moved[rows] = np.where(stopped.any(axis=1), _distance(hand, scene.q[rows], q[rows]), np.nan)
     return ClosedHands(q, moved)
@@ -133,25 +130,31 @@ class _Fingers:
         own = np.stack([groups == finger for finger in hand.fingers])
         return cls(hand, prepared, closing, moves[:, None] & own)
 
-    def gaps(self, T_world_root: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N n"]:
+    def gaps(
+        self, number: Int[np.ndarray, " N"], T_world_root: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]
+    ) -> Float[np.ndarray, "N n"]:
         """Return how far (N, n) the fingers that each joint moves are from the object, in metres; inf for none."""
         T = self.prepared.chain(T_world_root, q).T_world_link
         cutoff = np.where(self.moves.any(axis=(0, 1)), np.inf, np.nan)
-        witness = query(self.prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=cutoff)
+        witness = self.prepared.query(number, T, cutoff=cutoff)
         distance = np.where(witness.valid, witness.distance, np.inf)[:, None, None]
         by_finger = np.sort(np.where(self.moves, distance, np.inf).min(axis=3), axis=2)
         several = by_finger.shape[2] > 1 and np.isfinite(by_finger[..., 1])
         return np.where(several, by_finger[..., :2].mean(axis=2), by_finger[..., 0])
 
     def close(
-        self, T_world_root: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"], gap: float
+        self,
+        number: Int[np.ndarray, " N"],
+        T_world_root: Float[np.ndarray, "N 4 4"],
+        q: Float[np.ndarray, "N n"],
+        gap: float,
     ) -> tuple[Float[np.ndarray, "N n"], Bool[np.ndarray, "N n"]]:
         """Return joint values (N, n) of closed hands, and True (N, n) where a joint was stopped by the object."""
         lower, upper = self.hand.lower, self.hand.upper
         bounded = np.isfinite(upper - lower)
         full = np.where(bounded, upper - lower, np.pi) / NUM_STEPS
         step = np.tile(self.closing * full, (len(q), 1))
-        stopped = self.gaps(T_world_root, q) <= gap
+        stopped = self.gaps(number, T_world_root, q) <= gap
         step[stopped] = 0.0
         # A continuous joint turns once at most.
         for _ in range(2 * NUM_STEPS + NUM_HALVINGS):
@@ -160,7 +163,7 @@ class _Fingers:
                 break
             now, by = q[open_rows], step[open_rows]
             tried = np.clip(now + by, lower, upper)
-            touches = (self.gaps(T_world_root[open_rows], tried) <= gap) & (by != 0.0)
+            touches = (self.gaps(number[open_rows], T_world_root[open_rows], tried) <= gap) & (by != 0.0)
             stopped[open_rows] |= touches
             ended = (tried == now) & ~touches
             q[open_rows] = np.where(touches, now, tried)

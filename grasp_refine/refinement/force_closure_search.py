@@ -272,7 +272,11 @@ class Search:
         """Return `judge` of the grasps `rows` at some points, with what is in the way and where links should touch."""
         scene, prepared = self._scene(rows), self.prepared
         known = self.free.evaluate(rows, point, None)
-        score, pinches, value = judge(prepared, known.frames, self.clearance, self.scene.demand)
+        score, pinches, value = np.zeros(len(rows)), np.zeros(len(rows), dtype=bool), np.zeros(len(rows))
+        for k, alone in enumerate(prepared.alone):
+            if len(at := np.flatnonzero(scene.number == k)):
+                frames = take(known.frames, at)
+                score[at], pinches[at], value[at] = judge(alone, frames, self.clearance, self.scene.demand)
         depth = self.free.other_depth(known)
         score, value = score + depth / DEEP, value * room_share(depth)
         if scene.regions is not None:

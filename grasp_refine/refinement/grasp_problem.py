@@ -14,7 +14,6 @@ from grasp_refine.collision.query import QueryStatus, Witness
 from grasp_refine.core.array_records import choose
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import inverse, matvec, transform_points
-from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.bounded_step import bounded_step
@@ -49,11 +48,11 @@ class GraspProblem:
         self.scene, self.goal, self.config, self.prepared = scene, goal, config, prepared
         self.chain = prepared.chain
         self.axes = scene.T_world_root[:, :3, :3]
-        self.boxes = prepared.boxes(self.axes)
+        self.boxes = prepared.boxes(scene.number, self.axes)
         clearance, around = clearances(config, prepared.hand, prepared.chain), prepared.surroundings(scene)
         setup = Setup(scene, goal, prepared, config.margin, config.scales, clearance, around)
         self.terms = config.terms_of(setup)
-        self.setup, self.patched = setup, setup.is_flat
+        self.setup, self.patched = setup, setup.flat
         self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
         self.width, self.restarts = config.width, len(self.aimed_columns) > 0
         self.variables = variables(scene, config.max_move, config.freeze)
@@ -64,7 +63,7 @@ class GraspProblem:
     def in_points(self) -> GraspProblem:
         """Return the problem without gaps at the corners where flat faces meet."""
         points = copy(self)
-        points.patched = False
+        points.patched = np.zeros_like(self.patched)
         return points
 
     def with_goal(self, goal: Goal) -> GraspProblem:
@@ -83,7 +82,7 @@ class GraspProblem:
         none, loss, rejected = np.zeros(count, dtype=np.int64), np.zeros(count), np.zeros(count, dtype=bool)
         no_pairs = nothing_near(np.zeros((count, 0)))
         forces, nearby = (None, None) if previous is None else (previous.forces, previous.nearby)
-        patches = self.setup.patches(member, T, witness) if self.patched else None
+        patches = self.setup.patches(member, T, witness) if self.patched.any() else None
         state = State(
             loss, none, member, point.T, point.q, T, frames.axes, witness, no_pairs, forces, patches, nearby=nearby
         )
@@ -183,7 +182,8 @@ class GraspProblem:
         if self.scene.regions is not None:
             # Links keep farther from where they should not touch than out of the object.
             bound, cutoff = bound - self.setup.reach, cutoff + self.setup.reach
-        return query_near(self.prepared.pairs, bound, T, T_object, cutoff, before)
+        pair = self.prepared.pair(self.scene.number[member])
+        return query_near(self.prepared.pairs, pair, bound, T, T_object, cutoff, before)
 
     @stage("broad phase")
     def _against_itself(self, T: np.ndarray, previous: State | None, rejected: np.ndarray) -> Witness:
@@ -199,7 +199,8 @@ class GraspProblem:
             before, moves = previous.self_witness, motion(spheres, previous.T_link, T)
             bound = np.fmax(bound, before.distance - moves[:, first] - moves[:, second])
         bound = np.where(rejected[:, None], np.inf, bound)
-        return query_near(pairs, bound, T[:, first], T[:, second], np.full(bound.shape, NEAR_DISTANCE_M), before)
+        pair, cutoff = np.broadcast_to(np.arange(len(pairs)), bound.shape), np.full(bound.shape, NEAR_DISTANCE_M)
+        return query_near(pairs, pair, bound, T[:, first], T[:, second], cutoff, before)
 
 
 def sample_noise(scene: Scene, T: np.ndarray, member: np.ndarray, number: np.ndarray, seed: int) -> np.ndarray:
@@ -209,8 +210,7 @@ def sample_noise(scene: Scene, T: np.ndarray, member: np.ndarray, number: np.nda
     scene.
     """
     noise = np.empty((len(member), 6 + scene.q.shape[1]))
-    center = transform_points(inverse(T), center_of_mass(scene.object))
-    cell = np.round(center / NOISE_CELL_M).astype(np.int64)
+    cell = np.round(transform_points(inverse(T), scene.centers(member)) / NOISE_CELL_M).astype(np.int64)
     for row, (m, k) in enumerate(zip(member.tolist(), number.tolist(), strict=True)):
         key = crc32(cell[row].tobytes() + scene.q[m].tobytes())
         noise[row] = np.random.default_rng((seed, key, k)).normal(size=noise.shape[1])

@@ -106,7 +106,7 @@ class Objective:
         no_pairs = nothing_near(np.zeros((count, 0)))
         nearby = None if previous is None else previous.nearby
         patches = None
-        if self.setup.is_flat:
+        if self.setup.flat.any():
             patches = self.setup.patches(member, T_link.detach().double().cpu().numpy(), witness.detached())
         state = State(
             none, none, member, T, q, T_moving, None, witness, no_pairs,

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -113,11 +114,10 @@ def refine(
         raise GraspRefineError("descent and adam move hands without an arm: use levenberg-marquardt for one on an arm")
     frozen = Frozen.of(scene.hand, config.freeze)
     prepared = prepared or HandObject.of(scene)
-    if prepared.hand is not scene.hand or prepared.object is not scene.object:
-        raise GraspRefineError(
-            f"prepared is for {prepared.hand.name} and {prepared.object.name}, the scene has "
-            f"{scene.hand.name} and {scene.object.name}"
-        )
+    if prepared.hand is not scene.hand or any(a is not b for a, b in zip_longest(prepared.objects, scene.objects)):
+        raise GraspRefineError(f"prepared is {prepared!r}, not of the hand and the objects of {scene!r}")
+    if scene.others and (config.solver.needs_autograd or config.terms):
+        raise GraspRefineError("grasps on several objects need levenberg-marquardt, and no terms of your own")
     sound, original = scene.valid, scene
     status = np.where(sound, Status.RUNNING, np.where(scene.finite, Status.INVALID, Status.NOT_FINITE))
     status[scene.out_of_reach] = Status.OUT_OF_REACH

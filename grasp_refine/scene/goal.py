@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from grasp_refine.collision.query import Witness, query, query_items
+from grasp_refine.collision.query import Witness, query_items
 from grasp_refine.core.short_repr import brief
 from grasp_refine.scene.contact_links import contact_gaps
 from grasp_refine.scene.contact_selection import ContactSelection, nearest_points
@@ -74,7 +74,7 @@ def goal_of(
         if others:
             near = goal_of(replace(scene, target_link=None, target_object=None), touching, prepared)
             chosen, queries = chosen | near.touching, near.queries
-        off = _off_surface(prepared, target_link, target_object)
+        off = _off_surface(prepared, scene.number, target_link, target_object)
         return Goal(chosen, target_link, target_object, queries, off, scene.direction)
     witness, T = _at_start(scene, prepared, touching)
     chosen = ~np.isnan(contact_gaps(replace(scene, contact_gap=None), witness, touching))
@@ -91,14 +91,17 @@ def _with_directions(touching: np.ndarray, scene: Scene) -> np.ndarray:
     return touching if scene.direction is None else touching | ~np.isnan(scene.direction[..., 0])
 
 
-def _off_surface(prepared: HandObject, target_link: np.ndarray, target_object: np.ndarray) -> np.ndarray:
+def _off_surface(
+    prepared: HandObject, number: np.ndarray, target_link: np.ndarray, target_object: np.ndarray
+) -> np.ndarray:
     """Return sums (N,) of the squared distances of all targets from the surfaces of their bodies, in m^2."""
     total = np.zeros(len(target_link))
-    for pairs, target in zip(prepared.points, (target_link, target_object), strict=True):
+    of_side = np.arange(target_link.shape[1]), number[:, None]
+    for pairs, pair, target in zip(prepared.points, of_side, (target_link, target_object), strict=True):
         item = np.flatnonzero(~np.isnan(target[..., 0]))
         T = np.broadcast_to(np.eye(4), (2, len(item), 4, 4)).copy()
         T[1, :, :3, 3] = target.reshape(-1, 3)[item]
-        found = query_items(pairs, item % target.shape[1], *T)
+        found = query_items(pairs, np.broadcast_to(pair, target.shape[:2]).reshape(-1)[item], *T)
         off = np.where(found.valid, (found.distance + POINT) ** 2, 0.0)
         total += np.bincount(item // target.shape[1], weights=off, minlength=len(total))
     return total
@@ -109,4 +112,4 @@ def _at_start(scene: Scene, prepared: HandObject, touching: ContactSelection) ->
     with np.errstate(invalid="ignore"):
         T = prepared.chain(scene.T_world_root, scene.q).T_world_link
     cutoff = touching.cutoff(scene.hand, scene.links)
-    return query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=cutoff), T
+    return prepared.query(scene.number, T, cutoff=cutoff), T

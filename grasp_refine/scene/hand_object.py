@@ -1,15 +1,17 @@
-"""Data of a hand and an object that are independent of the grasps: built once, used by every refinement."""
+"""Data of a hand and its objects that are independent of the grasps: built once, used by every refinement."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from weakref import WeakValueDictionary
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.collision.culling import bounding_sphere
-from grasp_refine.collision.query import Pairs
+from grasp_refine.collision.query import Pairs, Witness, query_items
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.hands.chain import Chain
@@ -39,20 +41,32 @@ POINT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class HandObject:
-    """A hand and an object; each part is built when it is first used, which takes up to a second in all."""
+    """A hand and an object, or several; each part is built when it is first used, which takes up to a second in all."""
 
     hand: Hand
     """The hand."""
     object: Object
-    """The object."""
+    """The object, or the first."""
+    others: tuple[Object, ...] = field(default=(), kw_only=True)
+    """Further objects, of other grasps (`Scene.number`)."""
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.hand.name} and {self.object.name})"
+        return f"{type(self).__name__}({self.hand.name} and {', '.join(each.name for each in self.objects)})"
 
     @staticmethod
     def of(scene: Scene) -> HandObject:
-        """Return the hand and object of a scene; of the last `MAX_KEPT` pairs, what is built already."""
-        return _kept(scene.hand, scene.object)
+        """Return the hand and objects of a scene; of the last `MAX_KEPT`, what is built already."""
+        return _kept(scene.hand, *scene.objects)
+
+    @property
+    def objects(self) -> tuple[Object, ...]:
+        """All objects."""
+        return self.object, *self.others
+
+    @cached_property
+    def alone(self) -> tuple[HandObject, ...]:
+        """The hand with each of the objects alone."""
+        return tuple(_kept(self.hand, each) for each in self.objects) if self.others else (self,)
 
     @cached_property
     def bodies(self) -> tuple[Body, ...]:
@@ -66,13 +80,37 @@ class HandObject:
 
     @cached_property
     def pairs(self) -> Pairs:
-        """Each of these links and the object."""
-        return Pairs.against(self.bodies, self.object.body)
+        """Each of these links and the first object, then each and the second, ..."""
+        return Pairs(self.bodies * len(self.objects), tuple(each.body for each in self.objects for _ in self.bodies))
+
+    def pair(self, number: Int[np.ndarray, " M"], columns: np.ndarray | None = None) -> Int[np.ndarray, "M C"]:
+        """Return the indices (M, C) in `pairs` of the links `columns`, by default all, and objects `number` (M,)."""
+        columns = np.arange(len(self.bodies)) if columns is None else columns
+        return number[:, None] * len(self.bodies) + columns
+
+    def query(
+        self,
+        number: Int[np.ndarray, " M"],
+        T_world_link: Float[np.ndarray, "M L 4 4"],
+        *,
+        cutoff: np.ndarray | float = np.inf,
+        previous: Witness | None = None,
+    ) -> Witness:
+        """Return witness points (M, L) of the links of each grasp and its object, at the world's origin.
+
+        Args:
+            number: Index (M,) of each grasp's object.
+            T_world_link: Poses of the links.
+            cutoff: As for `query_items`.
+            previous: As there.
+        """
+        T_object = np.broadcast_to(np.eye(4), T_world_link.shape)
+        return query_items(self.pairs, self.pair(number), T_world_link, T_object, cutoff=cutoff, previous=previous)
 
     @cached_property
     def faces(self) -> FacePairs:
-        """Flat faces of these links and the object, as of `face_pairs`."""
-        return face_pairs(self.hand, self.object, links_of(self.hand))
+        """Flat faces of these links and the objects, as of `face_pairs`."""
+        return face_pairs(self.hand, self.objects, links_of(self.hand))
 
     @cached_property
     def curvatures(self) -> PairCurvatures:
@@ -103,20 +141,24 @@ class HandObject:
         corners = np.stack([piece.bounds for piece in self.object.body.pieces])
         return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
 
-    def boxes(self, axes: Float[np.ndarray, "N 3 3"]) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-        """Lower and upper corners (N, 3) of the object's bounding boxes along the columns of rotations (N, 3, 3)."""
-        vertices, radius = self.object.body.outline
+    def boxes(
+        self, number: Int[np.ndarray, " N"], axes: Float[np.ndarray, "N 3 3"]
+    ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
+        """Lower and upper corners (N, 3) of the bounding boxes of objects along the columns of rotations (N, 3, 3)."""
         low, high = np.empty((2, len(axes), 3))
-        for rows in np.split(np.arange(len(axes)), range(_BLOCK_BOXES, len(axes), _BLOCK_BOXES)):
-            along = vertices @ axes[rows]
-            low[rows], high[rows] = (along - radius).min(axis=1), (along + radius).max(axis=1)
+        for k, each in enumerate(self.objects):
+            vertices, radius = each.body.outline
+            at = np.flatnonzero(number == k)
+            for rows in np.split(at, range(_BLOCK_BOXES, len(at), _BLOCK_BOXES)):
+                along = vertices @ axes[rows]
+                low[rows], high[rows] = (along - radius).min(axis=1), (along + radius).max(axis=1)
         return low, high
 
     @cached_property
     def points(self) -> tuple[Pairs, Pairs]:
-        """Each link and a point, and the object and a point as often, for distances of points from surfaces."""
+        """Each link and a point, and each object and a point, for distances of points from surfaces."""
         point = build_body("point", [sphere(POINT)], candidates=16)
-        return Pairs.against(self.bodies, point), Pairs.against((self.object.body,) * len(self.bodies), point)
+        return Pairs.against(self.bodies, point), Pairs.against([each.body for each in self.objects], point)
 
     def surroundings(self, scene: Scene) -> Surroundings | None:
         """Return the links with the bodies around the object that grasps may reach in a refinement; None: none."""
@@ -145,12 +187,19 @@ class HandObject:
     @cached_property
     def padded(self) -> PaddedHand:
         """The hand with padding, for opening it."""
-        return PaddedHand(self.hand, self.object, self)
+        return PaddedHand(self.hand, self.object, self, others=self.others)
 
 
 @lru_cache(maxsize=MAX_KEPT)
-def _kept(hand: Hand, obj: Object) -> HandObject:
-    return HandObject(hand, obj)
+def _kept(hand: Hand, *objects: Object) -> HandObject:
+    found = _in_use.get((hand, *objects))
+    if found is None:
+        found = _in_use[hand, *objects] = HandObject(hand, objects[0], others=objects[1:])
+    return found
+
+
+_in_use: WeakValueDictionary[tuple[Hand | Object, ...], HandObject] = WeakValueDictionary()
+"""All that is in use somewhere, beside what is kept: nothing is built twice at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,8 +215,8 @@ class PaddedHand(HandObject):
 
     @cached_property
     def pairs(self) -> Pairs:
-        """Each padded link and the object."""
-        return Pairs.against(self._padded, self.object.body)
+        """Each padded link and each object, in the order of `HandObject.pairs`."""
+        return Pairs(self._padded * len(self.objects), tuple(each.body for each in self.objects for _ in self._padded))
 
     @cached_property
     def bounding_spheres(self) -> np.ndarray:
@@ -209,7 +258,9 @@ def _inflate(body: Body, by: float) -> Body:
     return replace(body, pieces=tuple(replace(piece, radius=piece.radius + by) for piece in body.pieces))
 
 
-def face_pairs(hand: Hand, obj: Object, links: tuple[str, ...]) -> FacePairs:
-    """Return the flat faces of links and object; none for a hand that touches in points (`Hand.patches`)."""
+def face_pairs(hand: Hand, objects: Sequence[Object], links: tuple[str, ...]) -> FacePairs:
+    """Return the flat faces of links and objects; none for a hand that touches in points (`Hand.patches`)."""
     bodies = [hand.links_by_name[name].solid for name in links]
-    return FacePairs.of(bodies, obj.body) if hand.patches else FacePairs.none(len(bodies))
+    if not hand.patches:
+        return FacePairs.none(len(bodies), len(objects))
+    return FacePairs.of(bodies, [each.body for each in objects])

@@ -1,13 +1,13 @@
-"""Scene of a refinement: one hand, one object, and grasps."""
+"""Scene of a refinement: one hand, an object, and grasps; or several objects, each with some of the grasps."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
 
 from grasp_refine.core.arguments import as_numbers, check_kind, check_shape, shape_error
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import SKEWED, is_rigid, transform_from_pose
@@ -32,6 +32,8 @@ TARGET_FIELDS = ("target_link", "target_object", "direction")
 class Scene:
     """One hand, one object at the world's origin, and N grasps to refine.
 
+    Grasps on several objects are refined together, where all have the same task. Each hand meets its own object alone.
+
     Arrays may be given as lists, as torch tensors, and for one grasp without their batch dimension; poses may be
     (x, y, z, qw, qx, qy, qz) (N, 7) too. They are kept as float64 NumPy arrays of the shapes below.
     """
@@ -55,20 +57,26 @@ class Scene:
     for all links of grasps without a record. None: no grasp has one; see `contact_links`."""
     task: Task = Task()
     """Task of the grasps; its regions are made for the object."""
+    others: tuple[Object, ...] = ()
+    """Further objects, of some of the grasps."""
+    number: np.ndarray | None = None
+    """Index (N,) of each grasp's object: 0 is `object`, 1 the first of the `others`. None: 0 for all."""
 
     def __repr__(self) -> str:
         optional = [
             name for name in (*TARGET_FIELDS, "table", "environment", "regions") if getattr(self, name) is not None
         ]
         more = f", with {', '.join(optional)}" if optional else ""
-        return f"Scene({self.hand.name} on {self.object.name}: {count_text(len(self.q), 'grasp')}{more})"
+        on = self.object.name if not self.others else count_text(len(self.objects), "object")
+        return f"Scene({self.hand.name} on {on}: {count_text(len(self.q), 'grasp')}{more})"
 
     def __post_init__(self) -> None:
         """Check the arguments, once for all uses of the scene.
 
         Raises:
             GraspRefineError: no hand or object, arrays of other shapes or without numbers, quaternions that are not of
-                unit length, or targets on the link or on the object only.
+                unit length, targets on the link or on the object only, or several objects with regions, with a
+                scene, or of different demands.
         """
         check_kind("hand", self.hand, Hand)
         check_kind("object", self.object, Object)
@@ -93,8 +101,34 @@ class Scene:
             arrays["contact_gap"] = gap
         if (self.target_link is None) != (self.target_object is None):
             raise GraspRefineError("targets need target_link and target_object together, got one of them")
+        number = np.zeros(count, dtype=np.int64) if self.number is None else np.asarray(self.number)
+        check_shape("number", number, count)
+        if ((number < 0) | (number >= len(self.objects))).any():
+            raise GraspRefineError(f"number must be below {len(self.objects)}, the number of objects, and at least 0")
+        arrays["number"] = number
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
+        if self.others and not all(self.fits(other) for other in self.others):
+            raise GraspRefineError(
+                "grasps on several objects need a task that is the same for all: without regions, without a scene, and "
+                "with one mass and one table"
+            )
+
+    @property
+    def objects(self) -> tuple[Object, ...]:
+        """All objects."""
+        return self.object, *self.others
+
+    def centers(self, rows: np.ndarray) -> Float[np.ndarray, "M 3"]:
+        """Return the centres of mass (M, 3) of the objects of some grasps, metres."""
+        return np.stack([each.center_of_mass for each in self.objects])[self.number[rows]]
+
+    def fits(self, obj: Object) -> bool:
+        """Return whether grasps on another object can be in the scene: the task is the same there."""
+        check_kind("others", obj, Object)
+        anywhere = self.environment is None and self.regions is None
+        same = Demand.of(self.task, obj) == self.demand and self.task.plane_under(obj) == self.table
+        return anywhere and same
 
     @cached_property
     def table(self) -> Plane | None:
@@ -151,7 +185,7 @@ class Scene:
 
     def select(self, rows: np.ndarray | slice) -> "Scene":
         """Return the scene with the grasps `rows`, in that order."""
-        names = ("T_world_root", "q", *TARGET_FIELDS, "contact_gap")
+        names = ("T_world_root", "q", *TARGET_FIELDS, "contact_gap", "number")
         arrays: dict[str, Any] = {
             name: None if (array := getattr(self, name)) is None else array[rows] for name in names
         }

@@ -9,13 +9,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.arguments import as_numbers, check_kind
 from grasp_refine.core.array_records import take
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.short_repr import brief
-from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.hands.hand import Hand
 from grasp_refine.measures.metrics import Metrics, metrics_of
 from grasp_refine.scene.plane import Plane
@@ -248,7 +247,7 @@ def _further(
             world,
             motion,
             checks.noise,
-            middle=center_of_mass(scene.object),
+            middle=scene.object.center_of_mass,
             upright=_normal(scene) if world.protocol.tabletop else None,
             numbers=rows,
             seed=checks.seed,

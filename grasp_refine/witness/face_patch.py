@@ -15,10 +15,10 @@ from math import cos, radians
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from grasp_refine.collision.engine import chosen
 from grasp_refine.collision.query import Witness
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.profiling import count_patches
 from grasp_refine.core.se3 import hat, tangents
 from grasp_refine.geometry.body import Body
@@ -76,25 +76,25 @@ class FacePatches:
 
 @dataclass(frozen=True, eq=False)
 class FacePairs:
-    """Flat faces of L links and of an object."""
+    """Flat faces of L links and of K objects."""
 
     links: tuple[Facets, ...]
     """Faces of the links, link frames."""
-    object: Facets
-    """Faces of the object, its own frame."""
+    objects: tuple[Facets, ...]
+    """Faces of the objects, their own frames."""
 
     @staticmethod
-    def of(links: Sequence[Body], obj: Body) -> FacePairs:
+    def of(links: Sequence[Body], objects: Sequence[Body]) -> FacePairs:
         """Find the faces of bodies."""
-        # A link has none to find where the object has none.
-        faces = obj.facets
-        return FacePairs(tuple(link.facets if len(faces) else Facets.of(()) for link in links), faces)
+        faces = tuple(each.facets for each in objects)
+        # A link has none to find where no object has any.
+        return FacePairs(tuple(link.facets if any(map(len, faces)) else Facets.of(()) for link in links), faces)
 
     @staticmethod
-    def none(count: int) -> FacePairs:
-        """Return no faces, for a number of links."""
+    def none(links: int, objects: int) -> FacePairs:
+        """Return no faces, for a number of links and of objects."""
         nothing = Facets.of(())
-        return FacePairs((nothing,) * count, nothing)
+        return FacePairs((nothing,) * links, (nothing,) * objects)
 
     @cached_property
     def derived(self) -> dict[str, Any]:
@@ -102,43 +102,47 @@ class FacePairs:
         return {}
 
     @cached_property
-    def flat(self) -> Bool[np.ndarray, " L"]:
-        """Mask (L,) of the links that can meet the object face to face: a certificate for the others."""
-        return np.array([len(link) > 0 for link in self.links], dtype=bool) & (len(self.object) > 0)
+    def flat(self) -> Bool[np.ndarray, "K L"]:
+        """Mask (K, L) of the links that can meet an object face to face: a certificate for the others."""
+        links, objects = (np.array([len(each) > 0 for each in side], dtype=bool) for side in (self.links, self.objects))
+        return objects[:, None] & links
 
     def patches(
         self,
         link: Int[np.ndarray, ...],
+        number: Int[np.ndarray, ...],
         T_world_link: Float[np.ndarray, "... 4 4"],
         witness: Witness,
         needed: Bool[np.ndarray, ...],
     ) -> FacePatches:
-        """Patches of links and the object, which rests at the world's origin, about witness points (...).
+        """Patches of links and objects, which rest at the world's origin, about witness points (...).
 
         Args:
             link: Index of each contact's link.
+            number: Index of each contact's object.
             T_world_link: Poses of the links.
-            witness: Witness points of the links (a) and the object (b).
+            witness: Witness points of the links (a) and the objects (b).
             needed: Mask of the contacts; others have no patch.
         """
         shape = needed.shape
-        items = np.flatnonzero((needed & witness.valid & self.flat[link]).reshape(-1))
+        items = np.flatnonzero((needed & witness.valid & self.flat[number, link]).reshape(-1))
         count_patches(len(items))
         M = len(items)
-        link, T = link.reshape(-1)[items], T_world_link.reshape(-1, 4, 4)[items]
+        link, number = link.reshape(-1)[items], number.reshape(-1)[items]
+        T = T_world_link.reshape(-1, 4, 4)[items]
         of = witness.reshape(-1).rows(items)
         found = _Found.none(M)
         if chosen("auto") == "native":
             from grasp_refine.witness.native_patch import find_patches, tables
 
             if not self.derived:
-                self.derived["native"] = (*tables(self.links), *tables([self.object]))
+                self.derived["native"] = (*tables(self.links), *tables(self.objects))
             limits = cos(MAX_TILT_RAD), NEAR_PLANE_M, MIN_EXTENT_M, SEGMENT_WIDTH_M
-            find_patches(self.derived["native"], limits, link, T, of, tuple(vars(found).values()))
+            find_patches(self.derived["native"], limits, link, number, T, of, tuple(vars(found).values()))
         else:
             for i in range(M):
                 faces = self.links[link[i]].transformed(T[i])
-                _find(faces, self.object, of.point_a[i], of.point_b[i], of.normal[i], found, i)
+                _find(faces, self.objects[number[i]], of.point_a[i], of.point_b[i], of.normal[i], found, i)
         tilt = (found.cosine - cos(MAX_TILT_RAD)) / (cos(FULL_TILT_RAD) - cos(MAX_TILT_RAD))
         weight = np.clip(tilt, 0.0, 1.0) * np.clip(found.extent / MIN_EXTENT_M - 1.0, 0.0, 1.0)
         fields = found.count, -found.normal, weight, found.point, found.gap, found.motion, found.slope

@@ -21,6 +21,7 @@ def find_patches(
     tables: tuple[np.ndarray, ...],
     limits: tuple[float, ...],
     link: np.ndarray,
+    number: np.ndarray,
     T: np.ndarray,
     witness: Witness,
     found: tuple[np.ndarray, ...],
@@ -28,16 +29,18 @@ def find_patches(
     """Fill in the patches of contacts (M,).
 
     Args:
-        tables: `tables` of the links, then of the object.
+        tables: `tables` of the links, then of the objects.
         limits: Cosine of the largest tilt, distance from planes, least extent, and width of segments.
         link: Index (M,) of each contact's link.
+        number: Index (M,) of each contact's object.
         T: Poses (M, 4, 4) of the links.
         witness: Witness points (M,).
         found: Arrays to be filled in.
     """
     threads = threads_for(len(link), _PATCHES_PER_THREAD)
     points = (np.ascontiguousarray(part) for part in (T, witness.point_a, witness.point_b, witness.normal))
-    _native.face_patches(np.ascontiguousarray(link), *points, *tables, *limits, *found, threads)
+    indices = np.ascontiguousarray(link), np.ascontiguousarray(number)
+    _native.face_patches(*indices, *points, *tables, *limits, *found, threads)
 
 
 def tables(bodies: Sequence[Facets]) -> tuple[np.ndarray, ...]:

@@ -19,7 +19,7 @@ from grasp_refine.forces.squeeze import (
     squeeze,
     squeezed,
 )
-from grasp_refine.forces.wrench import PLANNING_FRICTION, center_of_mass
+from grasp_refine.forces.wrench import PLANNING_FRICTION
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.files.hand_toml import Coupled
@@ -72,7 +72,7 @@ def forces_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     witness = query(known.pairs, T, np.broadcast_to(np.eye(4), T.shape))
     points, axes = contacts(scene.hand, scene.object, scene.links, witness, T), scene.T_world_root[:, :3, :3]
     assert not points.patched.any()
-    L, center = len(scene.links), center_of_mass(scene.object)
+    L, center = len(scene.links), scene.object.center_of_mass
     point, normal = points.point[:, :L], points.normal[:, :L]
     force = single_load_forces(point, normal, center, ridge=SQUEEZE_RIDGE, axes=axes).force
     return TOTAL_PRESSURE_N * force, witness.point_a
@@ -116,7 +116,7 @@ def test_planned_forces_are_as_in_the_contacts(clamp: Hand, ball: Object) -> Non
 
 def test_planned_forces_leave_the_residual_of_an_independent_program_and_stay_in_their_cones(mugs: Scene) -> None:
     force, on_link = forces_of(mugs)
-    found, center = squeeze(mugs).forces.flat(), center_of_mass(mugs.object)
+    found, center = squeeze(mugs).forces.flat(), mugs.object.center_of_mass
     for i in range(4):
         f, r = (values[found.grasp == i] for values in (found.vector, found.point - center))
         left = np.concatenate([f.sum(axis=0), np.cross(r, f).sum(axis=0)])

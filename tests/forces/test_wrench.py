@@ -15,7 +15,6 @@ from grasp_refine.forces.wrench import (
     ContactForces,
     basis_spin,
     basis_tangents,
-    center_of_mass,
     grasp_map,
     turn_loads,
 )
@@ -275,14 +274,14 @@ def test_the_basis_turns_by_its_spin_and_with_its_normal() -> None:
 
 
 def test_centre_of_mass_is_that_of_the_closed_mesh(tmp_path: Path) -> None:
-    np.testing.assert_allclose(center_of_mass(load_object("box:0.1,0.2,0.3", candidates=16)), 0.0, atol=1e-9)
+    np.testing.assert_allclose(load_object("box:0.1,0.2,0.3", candidates=16).center_of_mass, 0.0, atol=1e-9)
     # Two boxes of 1 and 3 litres, one on top of the other, as one mesh of two closed parts.
     low, high = trimesh.creation.box((0.1, 0.1, 0.1)), trimesh.creation.box((0.1, 0.1, 0.3))
     high.apply_translation([0.0, 0.02, 0.2])
     path = tmp_path / "tower.obj"
     trimesh.util.concatenate([low, high]).export(path)
     tower = load_object(path, scale=0.5, candidates=16)
-    np.testing.assert_allclose(center_of_mass(tower), [0.0, 0.5 * 0.015, 0.5 * 0.15], atol=1e-6)
+    np.testing.assert_allclose(tower.center_of_mass, [0.0, 0.5 * 0.015, 0.5 * 0.15], atol=1e-6)
 
 
 def test_an_open_surface_beside_given_pieces_has_no_centre_of_mass(tmp_path: Path) -> None:
@@ -298,4 +297,4 @@ def test_an_open_surface_beside_given_pieces_has_no_centre_of_mass(tmp_path: Pat
     ball.export(tmp_path / "mesh" / "simplified.obj")
     tower = load_object(tmp_path, scale=0.5, candidates=16)
     assert any("not watertight" in note for note in tower.notes)
-    np.testing.assert_allclose(center_of_mass(tower), [0.0, 0.5 * 0.015, 0.5 * 0.15], atol=1e-6)
+    np.testing.assert_allclose(tower.center_of_mass, [0.0, 0.5 * 0.015, 0.5 * 0.15], atol=1e-6)

@@ -11,7 +11,7 @@ import grasp_refine as gr
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.npz_files import save_npz
-from grasp_refine.forces.wrench import LEVER_M, center_of_mass
+from grasp_refine.forces.wrench import LEVER_M
 from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.results.document import run_document
@@ -50,7 +50,7 @@ def test_what_is_saved_is_what_is_reported(refined: gr.RefinedGrasps, workplace:
 
 def test_the_forces_of_the_squeeze_are_in_every_result_under_one_name(refined: gr.RefinedGrasps, workplace: Path):
     """They balance on the object within the stated residual: no result had any."""
-    forces, center = refined.forces, center_of_mass(refined.problem.groups[0].scene.object)
+    forces, center = refined.forces, refined.problem.groups[0].scene.object.center_of_mass
     residual = refined.outcome["wrench_residual"][:, 1]
     for i in range(3):
         f, r = (values[forces.grasp == i] for values in (forces.vector, forces.point - center))

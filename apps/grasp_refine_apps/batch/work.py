@@ -132,9 +132,9 @@ class _ShardProgress(Listener):
     simulated: int = 0
     """Number of grasps of the groups simulated before."""
 
-    def refining(self, group: Group) -> Progress:
-        """Return the progress callback of `refine` for a group."""
-        before, count = self.counted, len(group.rows)
+    def refining(self, groups: Sequence[Group]) -> Progress:
+        """Return the progress callback of `refine` for groups."""
+        before, count = self.counted, sum(len(group.rows) for group in groups)
         self.counted += count
 
         def progress(finished: int, iteration: int, mean_loss: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 
 from rich.console import Console
@@ -87,12 +87,14 @@ class Reporter(Listener):
 
         return show
 
-    def refining(self, group: Group) -> Callable[[int, int, float], None]:
-        """Return the progress callback of the refinement of a group, which begins now.
+    def refining(self, groups: Sequence[Group]) -> Callable[[int, int, float], None]:
+        """Return the progress callback of the refinement of groups, which begins now.
 
         In a force-closure search, finished grasps are good, and others may still become good.
         """
-        count = len(group.rows)
+        count = sum(len(group.rows) for group in groups)
+        names = list(dict.fromkeys(group.object for group in groups))
+        what = escape(names[0]) if len(names) == 1 else count_text(len(names), "object")
         before, self._finished = self._finished, self._finished + count
 
         def progress(finished: int, iteration: int, mean_loss: float) -> None:
@@ -102,7 +104,7 @@ class Reporter(Listener):
             self._bar.update(
                 self._task,
                 completed=before + finished + running,
-                description=f"refining {escape(group.object)}",
+                description=f"refining {what}",
                 status=f"{done}, iteration {iteration}, mean loss {mean_loss:.1e} m²",
             )
 

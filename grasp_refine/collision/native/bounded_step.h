@@ -26,8 +26,9 @@ class BoundedStep {
     for (int pass = 0; pass < passes; ++pass) {
       counted_.resize(m, J.cols()), value_.resize(m);
       Eigen::Index rows = 0;
+      // Rows of zeros, of links that only other grasps touch with, would change the order of the sums.
       for (Eigen::Index i = 0; i < m; ++i)
-        if (counts_[i]) counted_.row(rows) = J.row(i), value_[rows++] = r[i];
+        if (counts_[i] && (J.row(i).array() != 0).any()) counted_.row(rows) = J.row(i), value_[rows++] = r[i];
       const auto A = counted_.topRows(rows);
       damped_.setZero(J.cols(), J.cols());
       damped_.selfadjointView<Eigen::Lower>().rankUpdate(A.transpose());

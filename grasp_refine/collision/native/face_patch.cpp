@@ -10,7 +10,7 @@ namespace grasp_refine {
 
 namespace {
 
-void face_patches(In<int64_t> link, In<double> T, In<double> point_a, In<double> point_b, In<double> n,
+void face_patches(In<int64_t> link, In<int64_t> number, In<double> T, In<double> point_a, In<double> point_b, In<double> n,
                   In<int64_t> first_face_a, In<double> normal_a, In<double> offset_a, In<int64_t> first_polygon_a,
                   In<int64_t> first_vertex_a, In<double> vertices_a, In<int64_t> first_face_b, In<double> normal_b,
                   In<double> offset_b, In<int64_t> first_polygon_b, In<int64_t> first_vertex_b, In<double> vertices_b,
@@ -18,7 +18,7 @@ void face_patches(In<int64_t> link, In<double> T, In<double> point_a, In<double>
                   Out<double> normal, Out<double> cosine, Out<double> extent, Out<double> point, Out<double> gap,
                   Out<double> motion, Out<double> slope, int threads) {
   const size_t M = link.size();
-  if (T.size() != 16 * M || point_a.size() != 3 * M || point_b.size() != 3 * M || n.size() != 3 * M ||
+  if (number.size() != M || T.size() != 16 * M || point_a.size() != 3 * M || point_b.size() != 3 * M || n.size() != 3 * M ||
       count.size() != M || normal.size() != 3 * M || cosine.size() != M || extent.size() != M ||
       point.size() != 12 * M || gap.size() != 4 * M || motion.size() != 72 * M || slope.size() != 24 * M)
     throw std::invalid_argument("contacts and patches are of other shapes");
@@ -36,7 +36,7 @@ void face_patches(In<int64_t> link, In<double> T, In<double> point_a, In<double>
     using Row = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
     const Eigen::Matrix4d pose = Eigen::Map<const Row>(T.data() + 16 * i);
     const auto vector = [&](const In<double>& array) { return Eigen::Vector3d(array.data() + 3 * i); };
-    finder.find(a, link.data()[i], pose, b, vector(point_a), vector(point_b), vector(n), limits, patch);
+    finder.find(a, link.data()[i], pose, b, number.data()[i], vector(point_a), vector(point_b), vector(n), limits, patch);
     count.data()[i] = patch.count;
     if (!patch.count) return;
     std::copy_n(patch.normal.data(), 3, normal.data() + 3 * i);

@@ -42,9 +42,10 @@ struct Patch {
 
 class PatchFinder {
  public:
-  // Patch of a link (face table, body, pose) and the object, which rests at the origin, about witness points.
+  // Patch of a link (face table, body, pose) and an object (face table, body), which rests at the origin, about
+  // witness points.
   void find(const FaceTable& of_link, size_t link, const Eigen::Matrix4d& T, const FaceTable& of_object,
-            const Eigen::Vector3d& x_link, const Eigen::Vector3d& x_object, const Eigen::Vector3d& n,
+            size_t object, const Eigen::Vector3d& x_link, const Eigen::Vector3d& x_object, const Eigen::Vector3d& n,
             const PatchLimits& limits, Patch& out) {
     using namespace Eigen;
     out.count = 0;
@@ -53,7 +54,7 @@ class PatchFinder {
     const Vector3d local = R.transpose() * (x_link - t), n_local = R.transpose() * n;
     candidates(of_link, link, local, n_local, limits, link_faces);
     if (link_faces.empty()) return;
-    candidates(of_object, 0, x_object, -n, limits, object_faces);
+    candidates(of_object, object, x_object, -n, limits, object_faces);
     if (object_faces.empty()) return;
     double best = limits.cos_tilt;
     int64_t f = -1, g = -1;

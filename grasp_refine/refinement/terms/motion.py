@@ -67,7 +67,7 @@ def contact_curvatures(
     shape = w.distance.shape
     item = np.flatnonzero((needed & w.valid).reshape(-1))
     K = setup.prepared.curvatures.fit(
-        np.tile(columns, shape[0])[item],
+        setup.prepared.pair(setup.scene.number[state.member], columns).reshape(-1)[item],
         state.T_link[:, columns].reshape(-1, 4, 4)[item],
         np.broadcast_to(np.eye(4), (len(item), 4, 4)),
         w.reshape(-1).rows(item),

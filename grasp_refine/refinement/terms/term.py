@@ -16,10 +16,10 @@ from operator import add
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.arguments import describe_value
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import Array, array_namespace
 from grasp_refine.forces.contact_points import LinkPatches
@@ -112,14 +112,13 @@ class Setup:
         return self.goal.touching & ~self.goal.aimed
 
     @cached_property
-    def is_flat(self) -> bool:
-        """Whether any of these links can meet the object face to face."""
-        columns = self.anywhere.any(axis=0)
-        return bool(columns.any() and (columns & self.prepared.faces.flat).any())
+    def flat(self) -> Bool[np.ndarray, " N"]:
+        """Mask (N,) of grasps of which any of these links can meet the object face to face."""
+        return (self.anywhere & self.prepared.faces.flat[self.scene.number]).any(axis=1)
 
     def patches(self, member: np.ndarray, T_link: np.ndarray, witness: Witness) -> LinkPatches | None:
         """Return the patches of these links, of grasps `member` (M,) with poses (M, L, 4, 4) of the links, if any."""
-        return LinkPatches.of(self.prepared.faces, self.anywhere[member], T_link, witness)
+        return LinkPatches.of(self.prepared.faces, self.anywhere[member], T_link, witness, self.scene.number[member])
 
 
 class Term(ABC):

@@ -7,12 +7,12 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float
 
 from grasp_refine.collision.query import Witness
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import Array
 from grasp_refine.forces.equilibrium import Equilibrium
-from grasp_refine.forces.wrench import PLANNING_FRICTION, center_of_mass
+from grasp_refine.forces.wrench import PLANNING_FRICTION
 from grasp_refine.refinement.solvers.rows import JointRows
 from grasp_refine.refinement.terms.motion import contact_curvatures
 from grasp_refine.refinement.terms.term import Setup, State, Term
@@ -31,7 +31,7 @@ class Wrench(Term):
         """Set up the equilibrium of the hand's grasps, and find the links that touch in any of them."""
         prepared = setup.prepared
         friction = PLANNING_FRICTION * setup.scene.demand.grip
-        self.equilibrium = Equilibrium.of(prepared.hand, prepared.chain, center_of_mass(prepared.object), friction)
+        self.equilibrium = Equilibrium.of(prepared.hand, prepared.chain, friction)
         self.columns = np.flatnonzero(setup.goal.touching.any(axis=0))
 
     @staticmethod
@@ -42,8 +42,8 @@ class Wrench(Term):
     def complete(self, state: State, rejected: np.ndarray, self_witness: Callable[[np.ndarray], Witness]) -> State:
         """Return the state with the best contact forces, warm-started from its own; none where it is rejected."""
         pushing = self.setup.goal.touching[state.member] & ~rejected[:, None]
-        known = state.forces, state.patches
-        forces = self.equilibrium.forces(pushing, state.witness, state.frames, self._axes(state), *known)
+        where, known = self._where(state), (state.forces, state.patches)
+        forces = self.equilibrium.forces(pushing, state.witness, state.frames, *where, *known)
         return replace(state, forces=forces)
 
     def residuals(self, state: State) -> tuple[Array, ...]:
@@ -62,10 +62,10 @@ class Wrench(Term):
         pressed = state.forces.pressed[:, columns]
         radius = np.full((2, *pressed.shape), 0.5 * CURVATURE_RADIUS_M)
         w, E, K_link, K_object = contact_curvatures(self.setup, state, columns, pressed, radius, width)
-        axes, patches = self._axes(state), state.patches
-        known = columns, w, state.frames, axes, E, K_link, K_object, patches
+        known = columns, w, state.frames, *self._where(state), E, K_link, K_object, state.patches
         yield JointRows(*self.equilibrium.rows(state.forces, *known))
 
-    def _axes(self, state: State) -> Float[np.ndarray, "M 3 3"]:
-        """Return the rotations of the hands in the initial grasps: a frame that rotates with the scene."""
-        return self.setup.scene.T_world_root[state.member, :3, :3]
+    def _where(self, state: State) -> tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, "M 3 3"]]:
+        """Return the centres of mass of the objects, and frames that rotate with the scene: the hands at first."""
+        scene = self.setup.scene
+        return scene.centers(state.member), scene.T_world_root[state.member, :3, :3]

@@ -7,14 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_records import join, take
+from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
-from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.protocols.protocol import Protocol
@@ -69,7 +68,7 @@ class Worlds:
         check_pushes(protocol)
         task = replace(task, protocol=replace(protocol, palm="rigid"))
         both = build_world(hand, obj, task), None if other is None else build_world(other, obj, task)
-        return cls(*both, center_of_mass(obj))
+        return cls(*both, obj.center_of_mass)
 
     def __repr__(self) -> str:
         return f"Worlds({self.usual!r}{', and with the other model of the hand' if self.other else ''})"

@@ -25,7 +25,7 @@ def test_progress_is_single_lines_without_a_terminal():
     with Reporter(Console(file=stream, width=40)) as reporter:
         reporter.say("note: a line that is longer than the console is wide, kept in one piece")
         reporter.start("claw", 3, 100)
-        progress = reporter.refining(grasps_on("mug", 3))
+        progress = reporter.refining([grasps_on("mug", 3)])
         progress(0, 1, 1e-4)
         progress(3, 2, 0.0)
     note, line = stream.getvalue().splitlines()
@@ -42,8 +42,8 @@ def test_progress_is_a_bar_in_a_terminal():
     stream = io.StringIO()
     with Reporter(Console(file=stream, width=100, force_terminal=True)) as reporter:
         reporter.start("claw", 4, 100)
-        reporter.refining(grasps_on("mug", 2))(2, 10, 1e-4)
-        reporter.refining(grasps_on("can", 2))(1, 20, 2.5e-5)
+        reporter.refining([grasps_on("mug", 2)])(2, 10, 1e-4)
+        reporter.refining([grasps_on("can", 2)])(1, 20, 2.5e-5)
         reporter._bar.refresh()
     for named in ("can", "3/4", "iteration 20", "2.5e-05 m²"):
         assert named in stream.getvalue()
@@ -55,7 +55,7 @@ def test_the_bar_counts_good_grasps_where_they_are_made_to_hold():
         reporter.wait("sampling grasps of claw")
         reporter._bar.refresh()
         reporter.start("claw", 4, 100, starts=6)
-        progress, done = reporter.refining(grasps_on("mug", 4)), []
+        progress, done = reporter.refining([grasps_on("mug", 4)]), []
         for finished, iteration in ((0, 10), (1, 20), (1, 250), (3, 260)):
             progress(finished, iteration, 1e-4)
             done.append(reporter._bar.tasks[0].completed)
