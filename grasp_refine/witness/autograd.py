@@ -4,7 +4,9 @@ The forward pass returns the values of the collision query; the backward pass co
 method with the incoming gradients. This file has the only autograd.Function of the layer.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ from grasp_refine.core.arguments import as_numbers, check_kind
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import ambient_gradient
-from grasp_refine.witness.derivative import Derivative
+from grasp_refine.witness.derivative import Derivative, PoseGradients
 from grasp_refine.witness.neighborhood import Surfaces
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
@@ -40,6 +42,7 @@ class WitnessLayer:
         check_kind("method", method, Derivative)
         self.pairs = pairs
         self.method = method
+        self._in_one_call = method if isinstance(method, PoseGradients) else None
         self._columns: dict[bytes, tuple[Pairs, Surfaces]] = {}
 
     def __call__(
@@ -71,17 +74,19 @@ class WitnessLayer:
         Raises:
             GraspRefineError: poses or targets of another shape, or not numeric.
         """
-        check_kind("key", key, int)
-        check_kind("previous", previous, Witness | None)
+        # A call of one pair takes some ten microseconds: no check here may cost as much.
+        if type(key) is not int:
+            check_kind("key", key, int)
+        if previous is not None:
+            check_kind("previous", previous, Witness)
         T_world_a, T_world_b = _tensor("T_world_a", T_world_a), _tensor("T_world_b", T_world_b)
         check_poses(len(self.pairs), T_world_a, T_world_b, previous)
         lead = T_world_a.shape[:2]
-        targets = tuple(
-            None if target is None else as_numbers(name, target, *lead, 3)
-            for name, target in (("target_a", target_a), ("target_b", target_b))
+        targets = (
+            None if target_a is None else as_numbers("target_a", target_a, *lead, 3),
+            None if target_b is None else as_numbers("target_b", target_b, *lead, 3),
         )
-        T_a, T_b = _array(T_world_a), _array(T_world_b)
-        found = self.find(T_a, T_b, targets, cutoff, previous)
+        found = self.find(_array(T_world_a), _array(T_world_b), targets, cutoff, previous)
         return self.known(T_world_a, T_world_b, found, *targets, key=key)
 
     def known(
@@ -112,13 +117,36 @@ class WitnessLayer:
         """Return the witness of all pairs as arrays; a subclass may choose other points, which slip by the method."""
         return query(self.pairs, T_a, T_b, cutoff=cutoff, previous=previous)
 
+    @cached_property
+    def surfaces(self) -> Surfaces:
+        """Candidates of the first and then the second bodies."""
+        return Surfaces.of((*self.pairs.a, *self.pairs.b))
+
     def columns(self, columns: np.ndarray) -> tuple[Pairs, Surfaces]:
         """Return the pairs `columns`, and the candidates of their first and then their second bodies; built once."""
+        if len(columns) == len(self.pairs):
+            return self.pairs, self.surfaces
         name = columns.tobytes()
         if name not in self._columns:
-            pairs = self.pairs if len(columns) == len(self.pairs) else self.pairs.take(columns)
+            pairs = self.pairs.take(columns)
             self._columns[name] = pairs, Surfaces.of((*pairs.a, *pairs.b))
         return self._columns[name]
+
+    def pose_gradients(
+        self,
+        T_a: np.ndarray,
+        T_b: np.ndarray,
+        found: Witness,
+        targets: tuple[np.ndarray | None, np.ndarray | None],
+        key: int,
+        cotangents: Sequence[np.ndarray | None],
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the gradients (batch, P, 4, 4) in both poses, from those in points, normals and distances."""
+        if self._in_one_call is not None:
+            scene = WitnessScene(self.pairs, self.surfaces, T_a, T_b, found, *targets, key)
+            if (gradients := self._in_one_call.pose_gradients(scene, cotangents)) is not None:
+                return gradients
+        return _pull_back(self, T_a, T_b, found, targets, key, cotangents)
 
 
 class _WitnessFunction(torch.autograd.Function):
@@ -138,60 +166,34 @@ class _WitnessFunction(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(T_a, T_b)
         ctx.layer, ctx.found, ctx.targets, ctx.key = layer, found, (target_a, target_b), key
-        x_a, x_b, n, d = (
-            torch.as_tensor(array, dtype=T_a.dtype, device=T_a.device)
-            for array in (found.point_a, found.point_b, found.normal, found.distance)
+        ctx.poses = _array(T_a), _array(T_b)
+        return (
+            _like(T_a, found.point_a),
+            _like(T_a, found.point_b),
+            _like(T_a, found.normal),
+            _like(T_a, found.distance),
         )
-        return x_a, x_b, n, d
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:  # noqa: D102
+        if not torch.is_grad_enabled():
+            return *_WitnessFunction._to_poses(ctx, gradients), None, None, None, None, None
         with torch.no_grad():
-            found: tuple[Tensor | None, ...] = _WitnessFunction._pull_back(ctx, *gradients)
-        if torch.is_grad_enabled():
-            # For create_graph=True: without an edge, torch would say that the poses were not used at all.
-            edges = *ctx.saved_tensors, *(gradient for gradient in gradients if gradient is not None)
-            found = tuple(None if part is None else _NoSecondDerivative.apply(part, *edges) for part in found)
-        return *found, None, None, None, None, None
+            found = _WitnessFunction._to_poses(ctx, gradients)
+        # For create_graph=True: without an edge, torch would say that the poses were not used at all.
+        edges = *ctx.saved_tensors, *(gradient for gradient in gradients if gradient is not None)
+        refusing = tuple(None if part is None else _NoSecondDerivative.apply(part, *edges) for part in found)
+        return *refusing, None, None, None, None, None
 
     @staticmethod
     @stage("derivative")
-    def _pull_back(
-        ctx: Any,
-        grad_a: Tensor | None,
-        grad_b: Tensor | None,
-        grad_normal: Tensor | None,
-        grad_distance: Tensor | None,
-    ) -> tuple[Tensor | None, Tensor | None]:
+    def _to_poses(ctx: Any, gradients: tuple[Tensor | None, ...]) -> tuple[Tensor | None, Tensor | None]:
         """Gradients of both poses; None where one needs none."""
-        tensor_a, tensor_b = ctx.saved_tensors
-        poses = np.stack([_array(tensor_a), _array(tensor_b)])
-        found, valid = ctx.found, None
-        if not found.valid.all():
-            # Placeholder values keep the arithmetic finite; these pairs have no cotangents.
-            valid = found.valid[..., None]
-            poses = np.where(valid[..., None], poses, np.eye(4))
-            normal = np.where(valid, found.normal, [0.0, 0.0, 1.0])
-            found = replace(found, normal=normal, distance=np.where(found.valid, found.distance, 1.0))
-        g_a, g_b, g_n = (_cotangent(g, valid) for g in (grad_a, grad_b, grad_normal))
-        wrenches = np.zeros((2, *found.distance.shape, 6))
-        if grad_distance is not None:
-            # Both witness points lie on the line of the normal, so the bodies get equal and opposite wrenches.
-            wrenches[1] = wrench(found.point_b, _cotangent(grad_distance[..., None], valid) * found.normal)
-            wrenches[0] = -wrenches[1]
-        gradients = [g for g in (g_a, g_b, g_n) if g is not None]
-        if gradients:
-            # The derivative is computed only for pairs with nonzero cotangents.
-            columns = np.flatnonzero(np.logical_or.reduce([g.any(axis=(0, 2)) for g in gradients]))
-            if len(columns):
-                index = slice(None) if len(columns) == found.distance.shape[1] else columns
-                extra = _pull_back_points(ctx, found, columns, index, g_a, g_b, g_n, *poses)
-                wrenches[0][:, index] += extra[0]
-                wrenches[1][:, index] += extra[1]
-        moved = ambient_gradient(poses, wrenches)
-        gradient = torch.as_tensor(moved, dtype=tensor_a.dtype, device=tensor_a.device)
+        T_a, T_b = ctx.saved_tensors
+        cotangents = [None if gradient is None else _array(gradient) for gradient in gradients]
+        G_a, G_b = ctx.layer.pose_gradients(*ctx.poses, ctx.found, ctx.targets, ctx.key, cotangents)
         need_a, need_b = ctx.needs_input_grad[:2]
-        return gradient[0] if need_a else None, gradient[1] if need_b else None
+        return _like(T_a, G_a) if need_a else None, _like(T_b, G_b) if need_b else None
 
 
 class _NoSecondDerivative(torch.autograd.Function):
@@ -209,41 +211,65 @@ class _NoSecondDerivative(torch.autograd.Function):
         )
 
 
-def _pull_back_points(
-    ctx: Any,
-    found: Witness,
-    columns: np.ndarray,
-    index: np.ndarray | slice,
-    g_a: np.ndarray | None,
-    g_b: np.ndarray | None,
-    g_n: np.ndarray | None,
+def _pull_back(
+    layer: WitnessLayer,
     T_a: np.ndarray,
     T_b: np.ndarray,
+    found: Witness,
+    targets: tuple[np.ndarray | None, np.ndarray | None],
+    key: int,
+    cotangents: Sequence[np.ndarray | None],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Wrenches on the bodies from covectors on points and normals, for the pairs `columns`, selected by `index`."""
-    layer: WitnessLayer = ctx.layer
-    pairs, surfaces = layer.columns(columns)
-    found = found.pairs(index)
-    if pairs is not layer.pairs:
-        # Winners are relative to the first piece pair of their body pair.
-        shift = pairs.first_piece_pair - layer.pairs.first_piece_pair[columns]
-        found = replace(found, winner=np.where(found.winner >= 0, found.winner + shift, -1))
-    zero = np.zeros_like(found.point_a)
-    g_a, g_b = (zero if g is None else g[:, index] for g in (g_a, g_b))
-    target_a, target_b = (None if target is None else target[:, index] for target in ctx.targets)
-    scene = WitnessScene(pairs, surfaces, T_a[:, index], T_b[:, index], found, target_a, target_b, ctx.key)
-    return layer.method.pull_back(scene, g_a, g_b, None if g_n is None else g_n[:, index])
-
-
-def _cotangent(gradient: Tensor | None, valid: np.ndarray | None) -> np.ndarray | None:
-    """Incoming gradient as an array, zero where there are no witness points (`valid` None: all pairs have them)."""
-    if gradient is None or valid is None:
-        return None if gradient is None else _array(gradient)
-    return np.where(valid, _array(gradient), 0.0)
+    """`WitnessLayer.pose_gradients` of any method, which gives wrenches on the bodies."""
+    poses, valid = np.stack([T_a, T_b]), None
+    if not found.valid.all():
+        # Placeholder values keep the arithmetic finite; these pairs have no cotangents.
+        valid = found.valid[..., None]
+        poses = np.where(valid[..., None], poses, np.eye(4))
+        normal = np.where(valid, found.normal, [0.0, 0.0, 1.0])
+        found = replace(found, normal=normal, distance=np.where(found.valid, found.distance, 1.0))
+    g_a, g_b, g_n, g_d = (
+        g if g is None or valid is None else np.where(valid if g.ndim == 3 else valid[..., 0], g, 0.0)
+        for g in cotangents
+    )
+    wrenches = np.zeros((2, *found.distance.shape, 6))
+    if g_d is not None:
+        # Both witness points lie on the line of the normal, so the bodies get equal and opposite wrenches.
+        wrenches[1] = wrench(found.point_b, g_d[..., None] * found.normal)
+        wrenches[0] = -wrenches[1]
+    moving = [g for g in (g_a, g_b, g_n) if g is not None]
+    if moving:
+        # The derivative is computed only for pairs with nonzero cotangents.
+        columns = np.flatnonzero(np.logical_or.reduce([g.any(axis=(0, 2)) for g in moving]))
+        if len(columns):
+            index = slice(None) if len(columns) == found.distance.shape[1] else columns
+            pairs, surfaces = layer.columns(columns)
+            some = found.pairs(index)
+            if pairs is not layer.pairs:
+                # Winners are relative to the first piece pair of their body pair.
+                shift = pairs.first_piece_pair - layer.pairs.first_piece_pair[columns]
+                some = replace(some, winner=np.where(some.winner >= 0, some.winner + shift, -1))
+            zero = np.zeros_like(some.point_a)
+            force_a, force_b = (zero if g is None else g[:, index] for g in (g_a, g_b))
+            target_a, target_b = (None if target is None else target[:, index] for target in targets)
+            scene = WitnessScene(pairs, surfaces, poses[0][:, index], poses[1][:, index], some, target_a, target_b, key)
+            extra = layer.method.pull_back(scene, force_a, force_b, None if g_n is None else g_n[:, index])
+            wrenches[0][:, index] += extra[0]
+            wrenches[1][:, index] += extra[1]
+    moved = ambient_gradient(poses, wrenches)
+    return moved[0], moved[1]
 
 
 def _array(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().to("cpu", torch.float64).numpy()
+    if tensor.dtype is not torch.float64 or not tensor.is_cpu:
+        tensor = tensor.to("cpu", torch.float64)
+    return tensor.detach().numpy()
+
+
+def _like(tensor: Tensor, array: np.ndarray) -> Tensor:
+    """An array as a tensor, in the dtype and on the device of another."""
+    made = torch.from_numpy(array)
+    return made if tensor.dtype is torch.float64 and tensor.is_cpu else made.to(tensor.device, tensor.dtype)
 
 
 def _tensor(name: str, poses: Tensor) -> Tensor:

@@ -4,6 +4,7 @@ Montana's contact equations (Montana 1988, "The kinematics of contact and grasp"
 signed distance d. Unlike the slip equations they stay well conditioned as d -> 0.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +13,7 @@ from grasp_refine.collision.engine import chosen
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.se3 import Array, array_namespace, cross, matvec, tangents
 from grasp_refine.witness.curvature import RIDGE_RATIO, raise_eigenvalues, with_eigenvalues
-from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
+from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors, distance_from
 from grasp_refine.witness.pair_curvature import pair_curvatures
 from grasp_refine.witness.relative import seen_from_a
 from grasp_refine.witness.rings import Neighbor
@@ -75,15 +76,30 @@ class ContactKinematics:
         relative[..., 3:] += cross(w.normal, matvec(E, slide))
         return seen_from_a(w, force_a, force_b, force_n, relative)
 
+    def pose_gradients(
+        self, scene: WitnessScene, cotangents: Sequence[np.ndarray | None]
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Gradients (batch, pair, 4, 4) in the entries of both poses, see `derivative.PoseGradients`."""
+        # A subclass may have curvatures of its own.
+        if type(self) is not ContactKinematics or self._draws_samples:
+            return None
+        compiled = pair_curvatures(scene.pairs, self.smallest_curvature).compiled
+        if compiled is None:
+            return None
+        return compiled.pose_gradients(scene.T_world_a, scene.T_world_b, scene.witness, self._radius(scene), cotangents)
+
     def curvatures(self, scene: WitnessScene, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fitted K_a and K_b (batch, pair, 2, 2) in 1/m, in the tangent basis E (batch, pair, 3, 2)."""
         if not self._draws_samples:
             T_a, T_b, tangents_of_items = (
                 array.reshape(-1, *array.shape[2:]) for array in (scene.T_world_a, scene.T_world_b, E)
             )
+            count, pairs = E.shape[:2]
+            radius = np.broadcast_to(self._radius(scene), (2 * pairs, count)).reshape(2, pairs, count)
             fitted = pair_curvatures(scene.pairs, self.smallest_curvature).fit_within(
-                _pair_of_items(scene), T_a, T_b, scene.witness.reshape(-1), tangents_of_items, self._radius(scene)
-            )
+                np.tile(np.arange(pairs), count), T_a, T_b, scene.witness.reshape(-1), tangents_of_items,
+                radius.swapaxes(1, 2).reshape(2, -1),
+            )  # fmt: skip
             return fitted[0].reshape(*E.shape[:2], 2, 2), fitted[1].reshape(*E.shape[:2], 2, 2)
         sides, near = scene.neighbors(self.neighborhood, self.seed)
         basis = np.concatenate([E, E], axis=1).swapaxes(0, 1)
@@ -98,19 +114,13 @@ class ContactKinematics:
         return self.sampled or isinstance(self.neighborhood, Neighbor)
 
     def _radius(self, scene: WitnessScene) -> np.ndarray:
-        """Radii (2, batch x pair) in metres of the neighbourhoods on the bodies a, then b."""
+        """Radii (2 pair, batch or 1) in metres of the neighbourhoods on the bodies a, then b."""
         assert not isinstance(self.neighborhood, Neighbor)
-        w = scene.witness
-        count, pairs = w.distance.shape
-        points = np.concatenate([w.point_a, w.point_b], axis=1).swapaxes(0, 1)
-        radius = self.neighborhood.radius(scene.surfaces, points, scene.targets_world())
-        return np.broadcast_to(radius, (2 * pairs, count)).reshape(2, pairs, count).swapaxes(1, 2).reshape(2, -1)
-
-
-def _pair_of_items(scene: WitnessScene) -> np.ndarray:
-    """Body pair (batch x pair,) of each witness point of a scene."""
-    count, pairs = scene.witness.distance.shape
-    return np.tile(np.arange(pairs), count)
+        away = None
+        if (target := scene.targets_world()) is not None:
+            points = np.concatenate([scene.witness.point_a, scene.witness.point_b], axis=1).swapaxes(0, 1)
+            away = distance_from(target, points)
+        return self.neighborhood.radius(scene.surfaces, away)
 
 
 def contact_slip_jacobian(

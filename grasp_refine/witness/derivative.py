@@ -1,5 +1,6 @@
 """Interface of derivative methods of witness points."""
 
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -21,5 +22,21 @@ class Derivative(Protocol):
             force_a: dL/dx_a (batch, pair, 3), world frame.
             force_b: dL/dx_b.
             force_n: dL/dn, or None where the loss does not depend on the normal.
+        """
+        ...
+
+
+@runtime_checkable
+class PoseGradients(Protocol):
+    """A derivative method that can do the whole backward pass of the witness layer in one compiled call."""
+
+    def pose_gradients(
+        self, scene: WitnessScene, cotangents: Sequence[np.ndarray | None]
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Gradients (batch, pair, 4, 4) in the entries of both poses, as `se3.ambient_gradient`; None: not compiled.
+
+        Args:
+            scene: Poses and the witness points found there; where there are none, the gradients are zero.
+            cotangents: dL/dx_a, dL/dx_b, dL/dn (batch, pair, 3) and dL/dd (batch, pair), or None for each.
         """
         ...

@@ -76,6 +76,24 @@ class NativePairs:
         )
         return K_a, K_b
 
+    def pose_gradients(
+        self,
+        T_world_a: np.ndarray,
+        T_world_b: np.ndarray,
+        witness: Witness,
+        radius: np.ndarray,
+        cotangents: Sequence[np.ndarray | None],
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the gradients (batch, P, 4, 4) of `ContactKinematics.pose_gradients`; radii are (2 P, batch or 1)."""
+        w = witness
+        G_a, G_b = np.empty(T_world_a.shape), np.empty(T_world_b.shape)
+        threads = threads_for(w.distance.size, _FITS_PER_THREAD)
+        self._compiled.pose_gradients(
+            T_world_a, T_world_b, w.point_a, w.point_b, w.normal, w.distance, w.status, w.winner, radius,
+            *cotangents, G_a, G_b, threads,
+        )  # fmt: skip
+        return G_a, G_b
+
 
 def pull_back(
     witness: Witness,

@@ -134,8 +134,8 @@ class Neighborhood(Protocol):
         """Fewest candidates; with fewer inside, the nearest ones are taken."""
         ...
 
-    def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
-        """Radius in metres, (S, B) or (S, 1), of witness points x (S, B, 3) with targets (S, B, 3; NaN, None: none)."""
+    def radius(self, surfaces: Surfaces, away: np.ndarray | None) -> np.ndarray:
+        """Radius in metres, (S, B) or (S, 1), where witness points are `away` (S, B; NaN, None: none) from targets."""
         ...
 
 
@@ -156,12 +156,11 @@ class Adaptive:
         """Refuse fields of another type, and numbers out of range."""
         check_positive(self, "samples", "minimum", "smallest", "without_target")
 
-    def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
+    def radius(self, surfaces: Surfaces, away: np.ndarray | None) -> np.ndarray:
         """Radius max(|t - x|, `smallest` eps), and `without_target` eps where there is no target."""
         eps = surfaces.spacing[:, None]
-        if target is None:
+        if away is None:
             return self.without_target * eps
-        away = np.sqrt(((target - x) ** 2).sum(axis=2))
         return np.where(np.isnan(away), self.without_target * eps, np.maximum(away, self.smallest * eps))
 
 
@@ -180,9 +179,14 @@ class Fixed:
         """Refuse fields of another type, and numbers out of range."""
         check_positive(self, "fraction", "samples", "minimum")
 
-    def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
+    def radius(self, surfaces: Surfaces, away: np.ndarray | None) -> np.ndarray:
         """Radius `fraction` x diagonal."""
-        return np.broadcast_to(self.fraction * surfaces.diagonal[:, None], x.shape[:2])
+        return self.fraction * surfaces.diagonal[:, None]
+
+
+def distance_from(target: np.ndarray | None, x: np.ndarray) -> np.ndarray | None:
+    """Distances (S, B) of points x (S, B, 3) from their targets (S, B, 3; NaN: none), in metres."""
+    return None if target is None else np.sqrt(((target - x) ** 2).sum(axis=2))
 
 
 def draw_offset(seed: int, key: int) -> int:
@@ -210,7 +214,7 @@ def choose(
     """
     S, B, _ = x.shape
     N = surfaces.points.shape[1]
-    radius = rule.radius(surfaces, x, target)
+    radius = rule.radius(surfaces, distance_from(target, x))
     minimum = min(rule.minimum, N)
     width = N if rule.samples is None else max(rule.samples, minimum)
     # A window of the random order suffices for wide neighbourhoods, which hold most of the candidates.

@@ -115,8 +115,8 @@ class PairCurvatures:
 
         The other arguments are as in `fit`. A radius of 0 stands for the exact feature.
         """
-        if self._compiled is not None:
-            return self._compiled.fit(pair, T_world_a, T_world_b, witness, E, radius)
+        if self.compiled is not None:
+            return self.compiled.fit(pair, T_world_a, T_world_b, witness, E, radius)
         count = len(pair)
         T = np.concatenate([T_world_a, T_world_b])
         R = T[:, :3, :3].mT
@@ -135,7 +135,7 @@ class PairCurvatures:
 
     @cached_property
     @stage("loading")
-    def _compiled(self) -> NativePairs | None:
+    def compiled(self) -> NativePairs | None:
         """The pairs in the compiled engine, where it is the one in use."""
         if chosen(self.pairs.engine) == "python":
             return None

@@ -198,3 +198,38 @@ def test_values_are_as_in_the_query() -> None:
     detached = w.detached()
     assert isinstance(detached.point_a, np.ndarray)
     np.testing.assert_array_equal(detached.rows(np.array([2, 0])).distance, found.distance[[2, 0]])
+
+
+class Wrenches(ContactKinematics):
+    """Contact kinematics by its wrenches: a subclass has no backward pass in one call."""
+
+
+@pytest.mark.parametrize("fields", [FIELDS, FIELDS[:1], FIELDS[1:2], FIELDS[2:3], FIELDS[3:]])
+@pytest.mark.parametrize("targets", ["none", "of a", "of both"])
+def test_the_backward_pass_in_one_call_is_that_of_the_wrenches(fields: tuple[str, ...], targets: str) -> None:
+    """Of several pairs of bodies of several pieces, apart and in penetration, some of them not answered."""
+    pairs = two_pairs()
+    T_a, T_b = (
+        torch.cat(sides) for sides in zip(*(near_poses(pairs, 3, gap, 5) for gap in (0.004, -0.003)), strict=True)
+    )
+    T_a[1, 0, 0, 3] += 0.5  # beyond the cutoff
+    T_b[2, 1, 1, 1] = np.nan
+    rng = np.random.default_rng(3)
+    target_a, target_b = rng.normal(scale=0.02, size=(2, *T_a.shape[:2], 3))
+    target_a[::2, 0] = np.nan
+    given = {"none": (None, None), "of a": (target_a, None), "of both": (target_a, target_b)}[targets]
+    weights = {name: torch.from_numpy(rng.normal(size=(*T_a.shape[:2], 3))) for name in fields}
+    found = []
+    for method in (ContactKinematics(), Wrenches()):
+        poses = [T.clone().requires_grad_() for T in (T_a, T_b)]
+        witness = WitnessLayer(pairs, method)(*poses, *given, cutoff=0.1)
+        assert {int(status) for status in witness.status.ravel()} >= {QueryStatus.FAR, QueryStatus.NOT_FINITE}
+        parts = [getattr(witness, name) for name in fields]
+        loss = sum(
+            (part * (weights[name] if part.ndim == 3 else weights[name][..., 0])).nan_to_num().sum()
+            for name, part in zip(fields, parts, strict=True)
+        )
+        found.append(torch.autograd.grad(loss, poses))
+    for ours, theirs in zip(*found, strict=True):
+        assert theirs.abs().max() > 0.1
+        torch.testing.assert_close(ours, theirs, rtol=1e-9, atol=1e-9)

@@ -8,7 +8,7 @@ from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import box
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.distance import Distance
-from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors, Surfaces, choose, draw_offset
+from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors, Surfaces, choose, distance_from, draw_offset
 from grasp_refine.witness.scene import WitnessScene
 from shapes_for_tests import convex_body, ring_body
 from twists import poses_at_gap
@@ -110,13 +110,14 @@ def test_a_body_with_few_candidates_gives_all_it_has() -> None:
 def test_width_follows_the_target(surfaces: Surfaces) -> None:
     x, _ = witnesses(surfaces, 4, seed=7)
     target = x + np.array([0.0, 1e-5, 0.02, np.nan])[None, :, None] * [1.0, 0.0, 0.0]
+    away = distance_from(target, x)
     eps = surfaces.spacing
     expected = np.stack([eps, eps, np.maximum(0.02, eps), 4 * eps], axis=1)
-    np.testing.assert_allclose(Adaptive().radius(surfaces, x, target), expected)
+    np.testing.assert_allclose(Adaptive().radius(surfaces, away), expected)
     wider = np.stack([3 * eps, 3 * eps, np.maximum(0.02, 3 * eps), 4 * eps], axis=1)
-    np.testing.assert_allclose(Adaptive(smallest=3.0).radius(surfaces, x, target), wider)
-    np.testing.assert_allclose(np.broadcast_to(Adaptive().radius(surfaces, x, None), (3, 4)), expected[:, [3] * 4])
-    fixed = np.broadcast_to(Fixed(0.2).radius(surfaces, x, target), (3, 4))
+    np.testing.assert_allclose(Adaptive(smallest=3.0).radius(surfaces, away), wider)
+    np.testing.assert_allclose(np.broadcast_to(Adaptive().radius(surfaces, None), (3, 4)), expected[:, [3] * 4])
+    fixed = np.broadcast_to(Fixed(0.2).radius(surfaces, away), (3, 4))
     np.testing.assert_allclose(fixed, 0.2 * surfaces.diagonal[:, None] * np.ones(4))
     np.testing.assert_allclose(
         np.broadcast_to(choose(Fixed(0.2), surfaces, x, x, target, 0).radius, (3, 4)), fixed, atol=0

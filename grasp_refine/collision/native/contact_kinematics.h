@@ -25,6 +25,14 @@ inline double effective_distance(const Matrix2& K_a, const Matrix2& K_b, double 
   return bend < 0 && x > 0.5 ? (1.0 - x) / x * distance : distance;
 }
 
+// Tangents of a unit normal, as `se3.tangents`.
+inline Tangents tangents_of(const Vector3& n) {
+  const double sign = n[2] < 0 ? -1.0 : 1.0, a = -1.0 / (sign + n[2]), b = n[0] * n[1] * a;
+  Tangents E;
+  E << 1.0 + sign * n[0] * n[0] * a, b, sign * b, sign + n[1] * n[1] * a, -sign * n[0], -n[1];
+  return E;
+}
+
 // A witness pair: normal from a to b, point on b, curvatures of both surfaces in the tangents E.
 struct Contact {
   Vector3 normal, point_b;

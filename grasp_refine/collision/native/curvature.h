@@ -61,12 +61,14 @@ struct Block {
     const Lanes cosine = n[0] * at.normal[0] + n[1] * at.normal[1] + n[2] * at.normal[2];
     const Lanes weight = (1.0 - (x * x + y * y + z * z) * (1.0 / (at.radius * at.radius))).max(0.0) *
                          ((cosine - kCosNormals) * kStep).max(0.0).min(1.0);
+    const double total = weight.sum();
+    if (total == 0) return;
     const Lanes e0 = x * at.E(0, 0) + y * at.E(1, 0) + z * at.E(2, 0);
     const Lanes e1 = x * at.E(0, 1) + y * at.E(1, 1) + z * at.E(2, 1);
     const Lanes m0 = n[0] * at.E(0, 0) + n[1] * at.E(1, 0) + n[2] * at.E(2, 0);
     const Lanes m1 = n[0] * at.E(0, 1) + n[1] * at.E(1, 1) + n[2] * at.E(2, 1);
     const Lanes we0 = weight * e0, we1 = weight * e1;
-    sums.weight += weight.sum();
+    sums.weight += total;
     sums.e += Vector2(we0.sum(), we1.sum());
     sums.m += Vector2((weight * m0).sum(), (weight * m1).sum());
     const double mixed = (we0 * e1).sum();
