@@ -81,7 +81,7 @@ LIGHT = (
 
 HEAVY = {"torch", "coal", "coacd", "pytorch_kinematics", "mujoco", "viser"}
 
-SELDOM = {"scipy", "trimesh", "networkx", "array_api_compat", "manifold3d", "lxml"}
+SELDOM = {"scipy", "trimesh", "networkx", "jaxtyping", "array_api_compat", "manifold3d", "lxml"}
 """Packages that the library loads only where it uses them: each delays every command that does not, too."""
 
 ARRAY_TYPES = "grasp_refine.core.array_types"
