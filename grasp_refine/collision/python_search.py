@@ -52,7 +52,7 @@ class PythonSearch:
     ) -> tuple[np.ndarray, ...]:
         """Return the fields of a `query.Witness`; see `native_search.NativeSearch.query`."""
         shape, M = limit.shape, limit.size
-        pair = np.arange(M) % len(self._bodies) if pair is None else pair
+        pair = np.arange(M) % len(self._bodies) if pair is None else np.reshape(pair, M)
         limit, T_a, T_b = limit.reshape(M), T_a.reshape(M, 4, 4), T_b.reshape(M, 4, 4)
         points, distance = np.zeros((3, M, 3)), np.full(M, np.nan)
         status, (winner, num_queries) = np.empty(M, np.int8), np.empty((2, M), np.int64)

@@ -12,17 +12,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from grasp_refine.collision.engine import chosen
 from grasp_refine.core.arguments import check_alike, check_kind, check_shape
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import Array, array_namespace, exp_so3, inverse, tangents, transform
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.kept import kept
+
+if TYPE_CHECKING:
+    from grasp_refine.hands.native_chain import NativeChain
 
 Selection = Array | slice
 """Indices along an axis: an array or, where they are consecutive, a slice, which copies nothing."""
@@ -49,7 +54,7 @@ class Chain:
         check_kind("links", tuple(links) if isinstance(links, list) else links, tuple[str, ...])
         self.links, self.dof = tuple(links), len(hand.joint_names)
         self.joints, self._numbers = _build(hand, self.links)
-        self._converted: dict[tuple[Any, Any], _Numbers] = {}
+        self._converted: dict[tuple[Any, Any], Numbers] = {}
 
     @stage("kinematics")
     def __call__(self, T_world_root: Array, q: Array) -> Frames:
@@ -64,6 +69,8 @@ class Chain:
         check_shape("q", q, "batch", self.dof, why="one column for each of hand.joint_names")
         check_shape("T_world_root", T_world_root, len(q), 4, 4, why="one transform for each row of q")
         xp = array_namespace(q)
+        if _is_native(q):
+            return Frames(*self._numbers.compiled.forward(T_world_root, q), T_world_root, q)
         numbers = self._constants_on(xp, q)
         values = q @ numbers.values_matrix + numbers.values_offset
         slope = None
@@ -106,9 +113,11 @@ class Chain:
         Args:
             frames: Result of the call.
             covector: Forces and moments about the world's origin, or any other linear form of the twist.
-            link: Index (R,) of each row's link in `Chain.links`.
-            minus: Index (R,) of the link whose twist is subtracted.
+            link: Index (R,) or (batch, R) of each row's link in `Chain.links`.
+            minus: Index of the link whose twist is subtracted, likewise.
         """
+        if _is_native(covector):
+            return self._numbers.compiled.to_joint_space(frames.axes, covector, link, minus)
         numbers = self._constants_on(array_namespace(covector), covector)
         follows = numbers.follows
         mask = follows[link] if minus is None else follows[link] - follows[minus]
@@ -128,7 +137,7 @@ class Chain:
         """Mask (R, 6 + m): 1 where a root twist or joint of `joints` moves the link, else 0; see `to_joint_space`."""
         return self._numbers.follows[link]
 
-    def _constants_on(self, xp: ModuleType, like: Array) -> _Numbers:
+    def _constants_on(self, xp: ModuleType, like: Array) -> Numbers:
         """The constants in the array library `xp`, with the number type and on the device of `like`."""
         key = (like.dtype, like.device)
         if key not in self._converted:
@@ -156,6 +165,11 @@ class Frames:
     __repr__ = brief
 
 
+def _is_native(values: Array) -> bool:
+    """Return whether the compiled engine takes these values: it has double precision, and no graph."""
+    return isinstance(values, np.ndarray) and values.dtype == np.float64 and chosen("auto") == "native"
+
+
 def integrate(T_world_root: Array, dx: Array) -> Array:
     """Root poses (..., 4, 4) after steps dx = (v, w) (..., 6): R <- exp(w) R and p <- p + v.
 
@@ -172,7 +186,7 @@ def integrate(T_world_root: Array, dx: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Numbers:
+class Numbers:
     """The constants of a chain. Its m joints are sorted by their depth below the root, level by level."""
 
     values_matrix: Array
@@ -217,7 +231,28 @@ class _Numbers:
     """(links + m, 6 + m): 1 where the root twist or joint moves the link, or the joint's child, else 0; always a NumPy
     array."""
 
-    def converted(self, xp: ModuleType, dtype: Any, device: Any) -> _Numbers:
+    @cached_property
+    def compiled(self) -> NativeChain:
+        """The constants in the compiled engine."""
+        from grasp_refine.hands.native_chain import NativeChain
+
+        n, m = self.values_matrix.shape
+        columns = self.follows.shape[1]
+        # Frames by level: 0 is the root's, 1 + i that of joint i.
+        frames = [np.zeros(1, dtype=np.int64), *(1 + np.arange(m)[level] for _, level in self.levels)]
+        parents = [above[chosen] for above, (chosen, _) in zip(frames[:-1], self.levels, strict=True)]
+        slides = np.zeros(columns - 6, dtype=bool) if self.slides is None else self.slides[:, 0]
+        return NativeChain(
+            self.values_matrix.T, self.values_offset, self.T_constant, self.T_cos, self.T_sin, self.T_value,
+            np.concatenate([np.zeros(0, dtype=np.int64), *parents]), np.arange(m + 1)[self.link_frames],
+            self.T_frame_link, np.arange(m + 1)[self.joint_frames] - 1, slides.astype(np.uint8),
+            self.leaders, self.slope_offset, self.higher, self.gains, self.follows.astype(np.uint8),
+            shape=(len(self.T_frame_link), columns, columns if self.gains is None else 6 + n),
+        )  # fmt: skip
+
+    def converted(self, xp: ModuleType, dtype: Any, device: Any) -> Numbers:
+        """Return the constants in another array library, number type or device."""
+
         def convert(value: Any) -> Any:
             if isinstance(value, tuple):
                 return tuple(convert(item) for item in value)
@@ -228,11 +263,11 @@ class _Numbers:
         changed = {field.name: convert(getattr(self, field.name)) for field in fields(self) if field.name != "follows"}
         # On NumPy arrays `follows` has their number type, so that a product keeps it; others convert its rows.
         follows = self.follows.astype(dtype) if xp is np else self.follows
-        return _Numbers(**changed, follows=follows)
+        return Numbers(**changed, follows=follows)
 
 
 @kept
-def _build(hand: Hand, links: tuple[str, ...]) -> tuple[tuple[str, ...], _Numbers]:
+def _build(hand: Hand, links: tuple[str, ...]) -> tuple[tuple[str, ...], Numbers]:
     """The names of the joints that move any of `links`, in the order of `Chain.joints`, and the constants."""
     # Each link as (movable joint that carries it or None, pose in that joint's frame).
     carrier: dict[str, tuple[str | None, np.ndarray]] = {hand.base_link: (None, np.eye(4))}
@@ -292,7 +327,7 @@ def _build(hand: Hand, links: tuple[str, ...]) -> tuple[tuple[str, ...], _Number
             name = parent[name]
 
     root_twist, hinge_twist, slide_twist = _twist_forms()
-    return tuple(columns), _Numbers(
+    return tuple(columns), Numbers(
         values_matrix=matrix[rows].T,
         values_offset=offset[rows],
         T_constant=T_zero @ np.where(slide, np.eye(4), np.eye(4) - turn_cos),

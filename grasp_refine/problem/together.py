@@ -48,4 +48,4 @@ def together(scenes: Sequence[Scene]) -> Scene:
         for name in ARRAYS
     }
     objects, number = index_distinct([scene.object for scene in scenes])
-    return replace(first, **arrays, object=objects[0], others=objects[1:], number=np.repeat(number, counts))
+    return replace(first, **arrays, object=objects[0], others=objects[1:], of_object=np.repeat(number, counts))

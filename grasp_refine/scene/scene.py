@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.arguments import as_numbers, check_kind, check_shape, shape_error
-from grasp_refine.core.array_types import Bool, Float
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import SKEWED, is_rigid, transform_from_pose
@@ -59,7 +59,7 @@ class Scene:
     """Task of the grasps; its regions are made for the object."""
     others: tuple[Object, ...] = ()
     """Further objects, of some of the grasps."""
-    number: np.ndarray | None = None
+    of_object: np.ndarray | None = None
     """Index (N,) of each grasp's object: 0 is `object`, 1 the first of the `others`. None: 0 for all."""
 
     def __repr__(self) -> str:
@@ -101,11 +101,10 @@ class Scene:
             arrays["contact_gap"] = gap
         if (self.target_link is None) != (self.target_object is None):
             raise GraspRefineError("targets need target_link and target_object together, got one of them")
-        number = np.zeros(count, dtype=np.int64) if self.number is None else np.asarray(self.number)
-        check_shape("number", number, count)
-        if ((number < 0) | (number >= len(self.objects))).any():
-            raise GraspRefineError(f"number must be below {len(self.objects)}, the number of objects, and at least 0")
-        arrays["number"] = number
+        if self.of_object is not None:
+            check_shape("of_object", self.of_object, count)
+            if not np.isin(self.of_object, np.arange(len(self.objects))).all():
+                raise GraspRefineError(f"of_object must be indices below {len(self.objects)}, the number of objects")
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
         if self.others and not all(self.fits(other) for other in self.others):
@@ -113,6 +112,11 @@ class Scene:
                 "grasps on several objects need a task that is the same for all: without regions, without a scene, and "
                 "with one mass and one table"
             )
+
+    @cached_property
+    def number(self) -> Int[np.ndarray, " N"]:
+        """Index (N,) of each grasp's object in `objects`."""
+        return np.zeros(len(self.q), dtype=np.int64) if self.of_object is None else self.of_object
 
     @property
     def objects(self) -> tuple[Object, ...]:
@@ -185,7 +189,7 @@ class Scene:
 
     def select(self, rows: np.ndarray | slice) -> "Scene":
         """Return the scene with the grasps `rows`, in that order."""
-        names = ("T_world_root", "q", *TARGET_FIELDS, "contact_gap", "number")
+        names = ("T_world_root", "q", *TARGET_FIELDS, "contact_gap", "of_object")
         arrays: dict[str, Any] = {
             name: None if (array := getattr(self, name)) is None else array[rows] for name in names
         }

@@ -45,7 +45,7 @@ def mugs() -> Scene:
 
 def distances(scene: Scene, T: np.ndarray, q: np.ndarray) -> np.ndarray:
     nowhere = np.full((len(q), len(scene.links), 3), np.nan)
-    return measure(scene.hand, scene.object, scene.links, T, q, nowhere, nowhere).distance
+    return measure(HandObject.of(scene), T, q, nowhere, nowhere).distance
 
 
 def test_contact_links_open_wider_than_the_others(clamp: Hand) -> None:

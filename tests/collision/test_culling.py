@@ -64,7 +64,7 @@ def test_what_is_surely_apart_is_not_asked_and_the_rest_is_that_of_a_query() -> 
     rng = np.random.default_rng(6)
     bound = plain.distance - rng.uniform(0, 0.02, plain.distance.shape)
     cutoff = np.where(rng.random(bound.shape) < 0.3, np.inf, 0.003)
-    found = query_near(pairs, bound, T_a, T_b, cutoff, None)
+    found = query_near(pairs, np.tile([0, 1], (30, 1)), bound, T_a, T_b, cutoff, None)
     skipped = ~np.isinf(cutoff) & (bound > 0)
     assert skipped.any() and (~skipped & (plain.distance < 0)).any()
     np.testing.assert_array_equal(found.status[skipped], QueryStatus.FAR)
@@ -83,6 +83,6 @@ def test_poses_that_are_not_finite_are_asked_and_said_to_be_so() -> None:
     T[1:3, 0, 0, 3] = np.nan
     # An infinite bound is that of a rejected grasp, whose poses do not matter.
     bound = np.array([[1.0], [np.nan], [np.inf], [1.0]])
-    found = query_near(pairs, bound, T, random_poses(4, 8), np.full((4, 1), 0.003), None)
+    found = query_near(pairs, np.zeros((4, 1), dtype=int), bound, T, random_poses(4, 8), np.full((4, 1), 0.003), None)
     far = QueryStatus.FAR
     np.testing.assert_array_equal(found.status[:, 0], [far, QueryStatus.NOT_FINITE, far, far])

@@ -218,7 +218,7 @@ def problem_map(problem: GraspProblem, point: Point, pushing: np.ndarray) -> np.
     there = (pushing & known.witness.valid)[..., None]
     p, n = (np.where(there, side, np.nan) for side in (known.witness.point_b, known.witness.normal))
     forms = equilibrium_of(problem).infeasible.forms(known.frames, np.where(there, p, 0.0))
-    return grasp_map(p, n, equilibrium_of(problem).center, forms, problem.scene.T_world_root[:, :3, :3])[0]
+    return grasp_map(p, n, problem.scene.centers(np.arange(len(p))), forms, problem.scene.T_world_root[:, :3, :3])[0]
 
 
 def active_rows(local: np.ndarray) -> np.ndarray:

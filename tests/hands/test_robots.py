@@ -23,6 +23,7 @@ from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.verdict import HOLDS
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
 from grasp_refine_apps.report.hand_facts import licence
@@ -225,7 +226,7 @@ def test_its_examples_refine(name: str, things: tuple[str, ...]) -> None:
         scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q)
         result = refine(scene)
         before, after = (
-            measure(hand, obj, scene.links, T, q, result.target_link, result.target_object, touching=result.touching)
+            measure(HandObject.of(scene), T, q, result.target_link, result.target_object, touching=result.touching)
             for T, q in ((scene.T_world_root, scene.q), (result.T_world_root, result.q))
         )
         tips = before.distance[:, : len(hand.contacts)].max(axis=1)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.errors import CollisionError, HandError
-from grasp_refine.hands import self_collision
+from grasp_refine.hands import link_pairs, self_collision
 from grasp_refine.hands.clear_rest import clear_rest
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.self_collision import (
@@ -104,7 +104,7 @@ def test_more_pairs_than_are_looked_at_are_refused_before_anything_is_asked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A URDF of 20,000 links once kept `hands --check` busy for minutes."""
-    monkeypatch.setattr(self_collision, "query", None)
+    monkeypatch.setattr(link_pairs, "query", None)
     monkeypatch.setattr(self_collision, "MAX_PAIRS", 9)
     # Four moving balls and the base with a ball fixed to it: 4 x 3 / 2 pairs of them, 2 x 4 with the base.
     parts = [slide("base", name, 0.0, 0.1) for name in "abcd"]
@@ -209,7 +209,7 @@ PLIERS = (("a", "b"),)
 
 def test_the_second_time_the_answer_is_read(pliers: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert touching_pairs(pliers, QUICK, cache=tmp_path / "cache") == PLIERS
-    monkeypatch.setattr(self_collision, "query", lambda *_, **__: pytest.fail("it was asked again"))
+    monkeypatch.setattr(link_pairs, "query", lambda *_, **__: pytest.fail("it was asked again"))
     assert touching_pairs(pliers, QUICK, cache=tmp_path / "cache") == PLIERS
 
 

@@ -7,6 +7,7 @@ from grasp_refine.core.se3 import exp_se3
 from grasp_refine.hands.hand import Hand
 from grasp_refine.measures.geometry import Geometry, measure, movement
 from grasp_refine.objects.object import Object, load_object
+from grasp_refine.scene.hand_object import HandObject
 from made_hands import link, links, made_hand, slide, solid
 
 RADIUS, OBJECT = 0.01, 0.05
@@ -45,7 +46,7 @@ def nothing(count: int) -> np.ndarray:
 
 def measured(hand: Hand, ball: Object, q: np.ndarray, T: np.ndarray | None = None) -> Geometry:
     count = len(q)
-    return measure(hand, ball, LINKS, poses(count) if T is None else T, q, nothing(count), nothing(count))
+    return measure(HandObject(hand, ball), poses(count) if T is None else T, q, nothing(count), nothing(count))
 
 
 def test_distances_are_as_in_balls(hand: Hand, ball: Object) -> None:
@@ -73,7 +74,7 @@ def test_contact_error_is_the_largest_of_gap_and_misses(hand: Hand, ball: Object
     target_link[0, 0], target_object[0, 0] = [-RADIUS, 0, 0], [OBJECT, 0, 0]
 
     def error(margin: float = 0.0) -> float:
-        found = measure(hand, ball, LINKS, poses(1), q, target_link, target_object, margin)
+        found = measure(HandObject(hand, ball), poses(1), q, target_link, target_object, margin)
         assert np.isnan(found.contact_error[0, 1:]).all()
         return float(found.contact_error[0, 0])
 
@@ -91,7 +92,7 @@ def test_targets_move_with_the_link_and_not_with_the_hand(hand: Hand, ball: Obje
     target_link, target_object = nothing(1), nothing(1)
     # Turned by a quarter about z the left link is at y = 10 cm, and its own -x side still looks at the object.
     target_link[0, 0], target_object[0, 0] = [-RADIUS, 0, 0], [0, OBJECT, 0]
-    found = measure(hand, ball, LINKS, turn, np.zeros((1, 3)), target_link, target_object)
+    found = measure(HandObject(hand, ball), turn, np.zeros((1, 3)), target_link, target_object)
     assert found.contact_error[0, 0] == pytest.approx(0.04, abs=1e-9)
 
 

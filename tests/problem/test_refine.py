@@ -25,7 +25,7 @@ def test_a_hand_that_mujoco_refuses_costs_no_refinement(monkeypatch: pytest.Monk
         raise GraspRefineError("refused")
 
     monkeypatch.setattr(world, "build_world", refuse)
-    monkeypatch.setattr(refine, "refine_group", lambda *_, **__: pytest.fail("it was refined"))
+    monkeypatch.setattr(refine, "refine_together", lambda *_, **__: pytest.fail("it was refined"))
     problem = load_problem(ProblemSpec(hand="allegro", object="rounded_box", index=(0,)))
     with pytest.raises(GraspRefineError, match="refused"):
         refine_problem(problem.for_task(Task(Protocol("short"))), SHORT, engines=["mujoco"])

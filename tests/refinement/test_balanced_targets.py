@@ -50,9 +50,8 @@ def test_links_reach_their_targets_in_a_grasp_that_holds(aimed: Scene, prepared:
     np.testing.assert_array_equal(alone.touching[:5].sum(axis=1), 1)
     good = quality_of(prepared, balanced)
     assert (good > 0.9).sum() >= 5 and good.mean() > quality_of(prepared, alone).mean() + 0.1
-    links = aimed.hand, aimed.object, aimed.links
     none = np.full_like(aimed.target_link, np.nan)
-    after = measure(*links, balanced.T_world_root, balanced.q, none, none)
+    after = measure(prepared, balanced.T_world_root, balanced.q, none, none)
     gaps = np.where(balanced.touching, np.abs(after.distance), 0.0).max(axis=1)
     assert (gaps < 5e-4).sum() >= 5 and (after.penetration < 5e-4).all()
 

@@ -104,7 +104,7 @@ def test_links_that_are_near_come_to_touch_and_nothing_penetrates(scene: Scene, 
     assert (touched.iterations < 20).all()
     none = np.full((4, len(scene.links), 3), np.nan)
     before, after = (
-        measure(scene.hand, scene.object, scene.links, T, q, none, none)
+        measure(HandObject.of(scene), T, q, none, none)
         for T, q in ((scene.T_world_root, scene.q), (touched.T_world_root, touched.q))
     )
     gaps = np.where(touched.touching, np.abs(after.distance), 0.0).max(axis=1)
@@ -122,9 +122,7 @@ def test_given_targets_are_reached_again(aimed: Scene) -> None:
     np.testing.assert_array_equal(found.target_link, aimed.target_link)
     np.testing.assert_array_equal(found.touching, np.isfinite(aimed.target_link[..., 0]))
     assert (found.status == Status.CONVERGED).sum() >= 3
-    after = measure(
-        aimed.hand, aimed.object, aimed.links, found.T_world_root, found.q, found.target_link, found.target_object
-    )
+    after = measure(HandObject.of(aimed), found.T_world_root, found.q, found.target_link, found.target_object)
     error = np.nanmax(after.contact_error, axis=1)
     assert (error[found.status == Status.CONVERGED] < 1e-5).all()
 
@@ -133,7 +131,7 @@ def test_a_margin_is_kept(scene: Scene) -> None:
     found = refine(scene, replace(GEOMETRY, margin=2e-3))
     assert (found.status == Status.CONVERGED).all()
     none = np.full((4, len(scene.links), 3), np.nan)
-    after = measure(scene.hand, scene.object, scene.links, found.T_world_root, found.q, none, none)
+    after = measure(HandObject.of(scene), found.T_world_root, found.q, none, none)
     np.testing.assert_allclose(after.distance[found.touching], 2e-3, atol=1.1e-5)
 
 
@@ -145,7 +143,7 @@ def test_links_that_are_no_contact_links_keep_their_clearance(scene: Scene) -> N
     found = refine(scene, config)
     assert (found.status == Status.CONVERGED).all()
     none = np.full((4, len(scene.links), 3), np.nan)
-    distance = measure(scene.hand, scene.object, scene.links, found.T_world_root, found.q, none, none).distance
+    distance = measure(HandObject.of(scene), found.T_world_root, found.q, none, none).distance
     tips = {contact.link for contact in scene.hand.contacts}
     other = np.array([name not in tips and name != scene.hand.base_link for name in scene.links])
     assert (found.touching & other).any()
@@ -173,7 +171,7 @@ def test_links_given_by_name_touch_and_others_need_not(scene: Scene) -> None:
     np.testing.assert_array_equal(found.touching, np.tile(np.isin(scene.links, names), (4, 1)))
     assert (found.status == Status.CONVERGED).all()
     none = np.full((4, len(scene.links), 3), np.nan)
-    after = measure(scene.hand, scene.object, scene.links, found.T_world_root, found.q, none, none)
+    after = measure(HandObject.of(scene), found.T_world_root, found.q, none, none)
     np.testing.assert_allclose(after.distance[found.touching], 0.0, atol=1.1e-5)
 
 
@@ -193,7 +191,7 @@ def test_a_link_that_should_touch_in_a_direction_comes_from_afar(scene: Scene, t
     assert found.touching[row, column] and (found.touching != touched.touching).sum() == 1
     none = np.full((4, len(scene.links), 3), np.nan)
     before, after = (
-        measure(scene.hand, scene.object, scene.links, one.T_world_root, one.q, none, none).distance[row, column]
+        measure(HandObject.of(scene), one.T_world_root, one.q, none, none).distance[row, column]
         for one in (scene, found)
     )
     assert before > ContactSelection().reach and abs(after) < 1e-3
@@ -397,7 +395,7 @@ def test_all_fingertips_come_to_the_ball_and_none_into_it(on_ball: Scene) -> Non
     two = on_ball.select(np.array([0, 4]))
     grasped = refine(two, BALL)
     before, after = (
-        measure(on_ball.hand, on_ball.object, on_ball.links, T, q, grasped.target_link, grasped.target_object)
+        measure(HandObject.of(on_ball), T, q, grasped.target_link, grasped.target_object)
         for T, q in ((two.T_world_root, two.q), (grasped.T_world_root, grasped.q))
     )
     assert np.nanmax(before.contact_error, axis=1).min() > 0.02 and before.penetration.max() > 0.01

@@ -9,6 +9,7 @@ from boxed_example import boxed_example
 from grasp_refine.measures.geometry import measure
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.goal import goal_of
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
 
@@ -38,7 +39,7 @@ def given(scene: Scene, seed: int = 0) -> Scene:
 def test_links_that_are_near_should_touch_anywhere(scene: Scene) -> None:
     goal = goal_of(scene, ContactSelection())
     none = np.full((*goal.touching.shape, 3), np.nan)
-    found = measure(scene.hand, scene.object, scene.links, scene.T_world_root, scene.q, none, none)
+    found = measure(HandObject.of(scene), scene.T_world_root, scene.q, none, none)
     np.testing.assert_array_equal(goal.touching, ContactSelection().choose(scene.hand, scene.links, found.witness))
     assert (goal.touching.sum(axis=1) >= 2).all() and not goal.aimed.any()
     assert np.isnan(goal.target_link).all() and np.isnan(goal.target_object).all()
@@ -49,9 +50,7 @@ def test_nearest_points_are_targets_of_the_same_links_on_both_surfaces(scene: Sc
     goal, free = goal_of(scene, ContactSelection(), nearest=True), goal_of(scene, ContactSelection())
     np.testing.assert_array_equal(goal.touching, free.touching)
     np.testing.assert_array_equal(goal.aimed, goal.touching)
-    found = measure(
-        scene.hand, scene.object, scene.links, scene.T_world_root, scene.q, goal.target_link, goal.target_object
-    )
+    found = measure(HandObject.of(scene), scene.T_world_root, scene.q, goal.target_link, goal.target_object)
     # They are the witness points, as far apart as the bodies.
     gap = np.abs(found.distance)[goal.touching]
     np.testing.assert_allclose(found.contact_error[goal.touching], gap, atol=1e-9)

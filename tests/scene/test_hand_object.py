@@ -25,7 +25,7 @@ def test_boxes_hold_the_object_and_touch_it(tmp_path: Path, name: str) -> None:
         obj = obj.with_body(build_body("round", pieces, candidates=64))
     prepared = HandObject(claw(tmp_path), obj)
     axes = np.concatenate([np.eye(3)[None], exp_so3(np.random.default_rng(0).normal(size=(600, 3)))])
-    low, high = prepared.boxes(axes)
+    low, high = prepared.boxes(np.zeros(len(axes), dtype=int), axes)
     np.testing.assert_allclose([low[0], high[0]], prepared.box)
     for rotation, lower, upper in zip(axes, low, high, strict=True):
         bounds = np.array([[(p.vertices @ rotation - p.radius).min(0), (p.vertices @ rotation + p.radius).max(0)]

@@ -19,6 +19,9 @@ OBJECT = build_body("object", [box([0.06, 0.04, 0.02])])
 """Its upper face is at z = 0.01."""
 
 
+ZERO = np.zeros((1, 1), dtype=int)
+
+
 def pose(x: float = 0.0, y: float = 0.0, z: float = 0.0, *turn: float) -> np.ndarray:
     T = np.eye(4)
     T[:3, :3] = exp_so3(np.array(turn or (0.0, 0.0, 0.0)))
@@ -28,9 +31,7 @@ def pose(x: float = 0.0, y: float = 0.0, z: float = 0.0, *turn: float) -> np.nda
 
 def patch(link: Body, T: np.ndarray, obj: Body = OBJECT) -> tuple[FacePatches, Witness]:
     witness = query(Pairs((link,), (obj,)), T[None, None], np.eye(4)[None, None], cutoff=1.0)
-    return FacePairs.of([link], obj).patches(
-        np.zeros((1, 1), dtype=int), T[None, None], witness, witness.valid
-    ), witness
+    return FacePairs.of([link], [obj]).patches(ZERO, ZERO, T[None, None], witness, witness.valid), witness
 
 
 def corners(found: FacePatches) -> np.ndarray:
@@ -124,8 +125,7 @@ def test_nothing_flat_costs_nothing(piece: Piece):
 def test_corners_and_gaps_have_exact_derivatives():
     rng = np.random.default_rng(0)
     wedge = build_body("wedge", cut([0.03, 0.02, 0.02], 0.004))
-    pairs = FacePairs.of([wedge], OBJECT)
-    zero = np.zeros((1, 1), dtype=int)
+    pairs = FacePairs.of([wedge], [OBJECT])
     for _ in range(20):
         T = pose(*rng.uniform(-0.02, 0.02, 2), 0.022, *rng.uniform(-0.1, 0.1, 2), rng.uniform(-3, 3))
         found, witness = patch(wedge, T)
@@ -134,7 +134,7 @@ def test_corners_and_gaps_have_exact_derivatives():
             new = np.eye(4)
             new[:3, :3] = exp_so3(twist[3:]) @ T[:3, :3]
             new[:3, 3] = exp_so3(twist[3:]) @ T[:3, 3] + twist[:3]
-            return pairs.patches(zero, new[None, None], witness, witness.valid)
+            return pairs.patches(ZERO, ZERO, new[None, None], witness, witness.valid)
 
         assert found.count[0, 0] == 4
         for k in range(6):

@@ -14,6 +14,7 @@
 
 namespace grasp_refine {
 void bind_bounded_step(nb::module_& m);
+void bind_chain(nb::module_& m);
 void bind_curvature(nb::module_& m);
 void bind_face_patch(nb::module_& m);
 void bind_forces(nb::module_& m);
@@ -246,6 +247,7 @@ NB_MODULE(_native, m) {
       .def("trace", &trace);
 
   bind_bounded_step(m);
+  bind_chain(m);
   bind_curvature(m);
   bind_face_patch(m);
   bind_forces(m);

@@ -16,6 +16,7 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.measures.geometry import measure
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.refine import Scene, refine
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.authoring.close_fingers import (
     CLEARANCE_M,
     CLOSING_JOINTS,
@@ -90,7 +91,7 @@ def test_they_are_almost_right_and_refinement_makes_them_right(name: str):
     scene = Scene(HAND, obj, transform_from_pose(grasps.hand_pose), grasps.q)
     result = refine(scene)
     before, after = (
-        measure(HAND, obj, scene.links, T, q, result.target_link, result.target_object, touching=result.touching)
+        measure(HandObject.of(scene), T, q, result.target_link, result.target_object, touching=result.touching)
         for T, q in ((scene.T_world_root, scene.q), (result.T_world_root, result.q))
     )
     tips = before.distance[:, : len(HAND.contacts)]

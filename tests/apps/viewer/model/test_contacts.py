@@ -149,7 +149,7 @@ def agrees_with_validation(prepared: HandObject, T: np.ndarray, q: np.ndarray) -
         should = np.isin(scene.links, [link for link, meant in zip(found.link, found.should, strict=True) if meant])
         rows = slice(n, n + 1)
         geometry = measure(
-            prepared.hand, prepared.object, scene.links, T[rows], q[rows], nowhere[rows], nowhere[rows],
+            prepared, T[rows], q[rows], nowhere[rows], nowhere[rows],
             touching=should[None],
         )  # fmt: skip
         assert found.penetration == pytest.approx(geometry.penetration[0], abs=1e-9)
