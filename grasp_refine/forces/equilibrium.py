@@ -165,17 +165,17 @@ class Equilibrium:
         moving = _Moving(p, n, motion, there[..., 0], np.broadcast_to(columns, p.shape[:2]), f, local)
         patched = np.zeros(len(p), dtype=bool) if patches is None else patches.faces.count.any(axis=1)
         if patches is None or not patched.any():
-            return self._rows(balance, moving, columns, frames, center, axes, shared=False)
+            return self._rows(balance, moving, frames, center, axes, shared=False)
         plain, flat = np.flatnonzero(~patched), np.flatnonzero(patched)
         corners = _with_corners(take(moving, flat), columns, take(patches, flat), take(balance, flat))
         residual, J = self._rows(
-            take(balance, flat), corners, corners.links, take(frames, flat), center[flat], axes[flat], shared=True
+            take(balance, flat), corners, take(frames, flat), center[flat], axes[flat], shared=True
         )
         every = np.empty((len(p), *residual.shape[1:])), np.empty((len(p), *J.shape[1:]))
         for array, part in zip(every, (residual, J), strict=True):
             array[flat] = part
         if len(plain):
-            few = take(balance, plain), take(moving, plain), columns, take(frames, plain), center[plain], axes[plain]
+            few = take(balance, plain), take(moving, plain), take(frames, plain), center[plain], axes[plain]
             parts = self._rows(*few, shared=False)
             for array, part in zip(every, parts, strict=True):
                 array[plain] = part
@@ -185,7 +185,6 @@ class Equilibrium:
         self,
         balance: Balance,
         moving: _Moving,
-        link: np.ndarray,
         frames: Frames,
         center: np.ndarray,
         axes: np.ndarray,
@@ -196,7 +195,8 @@ class Equilibrium:
 
         `shared`: whether points of one link share its largest pressure.
         """
-        p, n, f, local = moving.point, moving.normal, moving.force, moving.local
+        moving = moving.pressing()
+        p, n, f, local, link = moving.point, moving.normal, moving.force, moving.local, moving.links
         (M, C), P = p.shape[:2], len(self.loads)
         motion = self.chain.to_joint_space(frames, moving.motion.reshape(M, C * 6, 6), np.repeat(link, 6, axis=-1))
         # What is unbalanced is a . f, summed over the contacts, with forms a of forces at points x: da = b x dx.
@@ -290,6 +290,17 @@ class _Moving:
     """Forces (M, P, C, 3)."""
     local: np.ndarray
     """Forces along the normal and its tangents (M, P, C, 3)."""
+
+    def pressing(self) -> _Moving:
+        """Return the points that press, first, and as few others as all grasps need: these have no force."""
+        place = np.argsort(~self.there, axis=1, kind="stable")[:, : int(self.there.sum(axis=1).max(initial=0))]
+
+        def chosen(values: np.ndarray, axis: int) -> np.ndarray:
+            at = place.reshape(len(place), *(1,) * (axis - 1), -1, *(1,) * (values.ndim - axis - 1))
+            return np.take_along_axis(values, at, axis=axis)
+
+        by_point = self.point, self.normal, self.motion, self.there, self.links
+        return _Moving(*(chosen(one, 1) for one in by_point), *(chosen(one, 2) for one in (self.force, self.local)))
 
 
 def _with_corners(moving: _Moving, columns: np.ndarray, patches: LinkPatches, balance: Balance) -> _Moving:
