@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import ceil, degrees, inf, pi, radians
 from typing import Any, Literal
 
@@ -219,7 +220,7 @@ class Protocol:
 
     def for_contacts(self, patches: bool) -> Protocol:
         """Return the protocol for a hand that touches in patches, or in points, where it leaves `multiccd` to that."""
-        return self if self.multiccd is not None else self.with_multiccd(patches)
+        return self if self.multiccd is not None else _with_multiccd(self, patches)
 
     def with_friction(self, friction: float | None) -> Protocol:
         """Return a copy with another sliding friction, and torsional friction in proportion; None: this protocol."""
@@ -234,3 +235,9 @@ class Protocol:
         """
         changed = replace(self, **values)
         return changed if changed == self else replace(changed, palm="rigid")
+
+
+@lru_cache(maxsize=64)
+def _with_multiccd(protocol: Protocol, multiccd: bool) -> Protocol:
+    """Return `Protocol.with_multiccd`, made once: scenes ask for it often."""
+    return protocol.with_multiccd(multiccd)
