@@ -70,7 +70,8 @@ class Chain:
         check_shape("T_world_root", T_world_root, len(q), 4, 4, why="one transform for each row of q")
         xp = array_namespace(q)
         if _is_native(q):
-            return Frames(*self._numbers.compiled.forward(T_world_root, q), T_world_root, q)
+            T_world_link, axes = self._numbers.compiled.forward(T_world_root, q)
+            return Frames(T_world_link, axes, T_world_root, q)
         numbers = self._constants_on(xp, q)
         values = q @ numbers.values_matrix + numbers.values_offset
         slope = None

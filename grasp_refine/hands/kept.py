@@ -9,7 +9,8 @@ from weakref import WeakKeyDictionary
 
 from grasp_refine.hands.hand import Hand
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def kept(build: Callable[Concatenate[Hand, P], T]) -> Callable[Concatenate[Hand, P], T]:
@@ -20,7 +21,7 @@ def kept(build: Callable[Concatenate[Hand, P], T]) -> Callable[Concatenate[Hand,
     structures: WeakKeyDictionary[Hand, dict[object, T]] = WeakKeyDictionary()
 
     @wraps(build)
-    def get(hand: Hand, *args: P.args, **kwargs: P.kwargs) -> T:
+    def get(hand: Hand, /, *args: P.args, **kwargs: P.kwargs) -> T:
         of_hand = structures.setdefault(hand, {})
         key = args, tuple(kwargs.items())
         if key not in of_hand:

@@ -8,6 +8,8 @@ import pytest
 import torch
 import yourdfpy
 
+from grasp_refine.collision.engine import VARIABLE, engines
+from grasp_refine.core.array_records import take
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import exp_se3, inverse, transform_points
 from grasp_refine.hands.chain import Chain, integrate
@@ -222,3 +224,40 @@ def test_torch_and_numpy_agree(hand: Hand) -> None:
 
 
 # gradients by autograd
+
+
+@pytest.mark.parametrize("which", ["gripper", "curved", "allegro"])
+def test_both_engines_have_the_same_kinematics(
+    which: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if "native" not in engines():
+        pytest.skip("the compiled engine is not built")
+    hand = request.getfixturevalue(which)
+    chain, rng, count = Chain(hand, [link.name for link in hand.links]), np.random.default_rng(0), 4
+    T, q = exp_se3(rng.normal(size=(count, 6))), rng.normal(size=(count, len(hand.joint_names)))
+    covector, link = rng.normal(size=(count, 7, 6)), rng.integers(0, len(hand.links), (count, 7))
+    found = []
+    for engine in ("native", "python"):
+        monkeypatch.setenv(VARIABLE, engine)
+        frames = chain(T, q)
+        rows = [chain.to_joint_space(frames, covector, *of) for of in ((link[0],), (link[0], link[1]))]
+        each = [chain.to_joint_space(take(frames, slice(k, k + 1)), covector[[k]], link[k]) for k in range(count)]
+        if engine == "native":
+            np.testing.assert_array_equal(chain.to_joint_space(frames, covector, link), np.concatenate(each))
+        found.append((frames.T_world_link, frames.axes, *rows, *each))
+    for native, python in zip(*found, strict=True):
+        np.testing.assert_allclose(native, python, atol=1e-13)
+
+
+@pytest.mark.usefixtures("engine")
+def test_a_configuration_that_is_not_finite_has_no_pose_and_spoils_no_other(gripper: Hand) -> None:
+    chain = Chain(gripper, [link.name for link in gripper.links])
+    q = np.full((3, len(gripper.joint_names)), 0.1)
+    T = np.tile(np.eye(4), (3, 1, 1))
+    whole = chain(T, q).T_world_link
+    q[1, 0] = np.nan
+    with np.errstate(invalid="ignore"):
+        frames = chain(T, q)
+    # The links that hang from joints.
+    assert np.isnan(frames.T_world_link[1, 1:]).any(axis=(1, 2)).all()
+    np.testing.assert_array_equal(frames.T_world_link[[0, 2]], whole[[0, 2]])

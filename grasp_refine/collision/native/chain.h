@@ -50,20 +50,15 @@ inline void write_twist(const double* p, const double* z, bool slide, double slo
 
 class Kinematics {
  public:
-  // Write the poses of the links (L, 4, 4) and the twists of the columns (6, 6 + k) at one configuration; NaN at one
-  // that is not finite.
+  // Write the poses of the links (L, 4, 4) and the twists of the columns (6, 6 + k) at one configuration. Where a joint
+  // value is not finite, no joint has a pose.
   void forward(const Tree& tree, const double* T_root, const double* q, double* T_link, double* axes) {
     const size_t m = tree.joints, n = tree.columns();
-    const auto finite = [](double x) { return std::isfinite(x); };
-    if (!std::all_of(T_root, T_root + 16, finite) || !std::all_of(q, q + tree.dof, finite)) {
-      std::fill_n(T_link, 16 * tree.link_frame.size(), std::numeric_limits<double>::quiet_NaN());
-      std::fill_n(axes, 6 * n, std::numeric_limits<double>::quiet_NaN());
-      return;
-    }
+    const bool known = std::all_of(q, q + tree.dof, [](double x) { return std::isfinite(x); });
     frames_.resize(16 * (m + 1)), slope_.assign(m, 1.0);
     std::copy_n(T_root, 16, frames_.data());
     for (size_t j = 0; j < m; ++j) {
-      double value = 0;
+      double value = known ? 0.0 : std::numeric_limits<double>::quiet_NaN();
       for (const auto& [i, factor] : tree.values[j]) value += q[i] * factor;
       value += tree.offset[j];
       if (!tree.leader.empty()) value += curved(tree, j, q[tree.leader[j]]);
