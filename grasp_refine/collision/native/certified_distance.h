@@ -20,10 +20,11 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr double kMaxDistance = 1e300;  // Largest absolute distance that counts as an answer.
 
 // As in certified_distance.py, in units of the pieces.
-constexpr double kGapTolerance = 1e-10, kContactDistance = 4e-9, kMinLength = 1e-12, kUnitTolerance = 1e-6;
+constexpr double kGapTolerance = 1e-10, kRoundingTolerance = 1e-15, kContactDistance = 4e-9, kMinLength = 1e-12, kUnitTolerance = 1e-6;
 constexpr double kSideOffset = 0.25, kFineEpaTolerance = 1e-10;
 constexpr double kQueryGaps[] = {0.25, 1.0 / 16384}, kStepLengths[] = {1, 8, 64, 512};
 constexpr int kMaxIterations = 32, kEpaIterations = 256;
+constexpr int kFewEpaIterations = 32;  // Mostly enough; EPA first clears memory for all that it is allowed.
 
 struct Tolerances {
   double gjk, epa, retry, slack;
@@ -129,7 +130,6 @@ class CertifiedQuery {
   static void prepare(coal::DistanceRequest& request, double gjk, double epa) {
     request.gjk_tolerance = gjk;
     request.epa_tolerance = epa;
-    request.epa_max_iterations = kEpaIterations;
     // Without a cached guess a request would start from the solver's last state.
     request.gjk_initial_guess = coal::GJKInitialGuess::CachedGuess;
   }
@@ -147,13 +147,20 @@ class CertifiedQuery {
   double query_pieces(const PiecePair& pair, const Transform3s& T, coal::DistanceRequest& request, const Vec3s& guess) {
     static const coal::DistanceFunctionMatrix table;
     const Shape &a = *pair.a, &b = *pair.b;
-    request.cached_gjk_guess = guess;
-    request.cached_support_func_guess.setZero();
-    solver_.set(request);
-    result_.clear();
     const auto function = table.distance_matrix[a.geometry->getNodeType()][b.geometry->getNodeType()];
-    const double d = function(a.geometry.get(), a.placement, b.geometry.get(), b.placed ? T * b.placement : T,
-                              &solver_, request, result_);
+    const Transform3s placement = b.placed ? T * b.placement : T;
+    double d;
+    for (const int iterations : {kFewEpaIterations, kEpaIterations}) {
+      request.epa_max_iterations = iterations;
+      request.cached_gjk_guess = guess;
+      request.cached_support_func_guess.setZero();
+      solver_.set(request);
+      result_.clear();
+      d = function(a.geometry.get(), a.placement, b.geometry.get(), placement, &solver_, request, result_);
+      // Any other end may be for want of iterations.
+      using Status = coal::details::EPA::Status;
+      if (solver_.epa.status == Status::DidNotRun || solver_.epa.status == Status::AccuracyReached) break;
+    }
     point = result_.nearest_points[0], normal = result_.normal;
     return d;
   }
@@ -163,11 +170,13 @@ class CertifiedQuery {
     const double close = 0.5 * tolerances_.gjk * (1 + std::abs(d));
     Vec3s starts[10];
     int count = starting_directions(pair, T, starts);
-    Ascent best = ascend_separation(pair, T, starts[0]);
+    // In contact, coal's normal is mostly right but for rounding: then the smaller move is enough.
+    Ascent best = ascend_separation(pair, T, starts[0], std::abs(d) <= kContactDistance);
     // Otherwise there may be a larger gap in another direction.
     const auto sure = [&] {
       return best.closed && (std::abs(d - best.gap) <= close || (std::isnan(d) && best.gap > 0));
     };
+    if (std::abs(d) <= kContactDistance && !sure()) best = ascend_separation(pair, T, starts[0]);
     if (d <= kContactDistance && !sure()) {
       query_pieces(pair, T, fine_, no_guess());
       if (has_normal()) {
@@ -201,10 +210,12 @@ class CertifiedQuery {
 
   static Vec3s normalized(const Vec3s& u) { return u / std::sqrt(PiecePair::dot(u, u)); }
 
-  // Follow the normal from a starting direction until the gap stops growing.
-  Ascent ascend_separation(const PiecePair& pair, const Transform3s& T, const Vec3s& start) {
+  // Follow the normal from a starting direction until the gap stops growing; `near`: at the smaller move alone, closed
+  // only up to rounding.
+  Ascent ascend_separation(const PiecePair& pair, const Transform3s& T, const Vec3s& start, bool near = false) {
     Ascent found{pair.gap(T, start), start};
     for (const double apart : kQueryGaps) {
+      if (near && apart != kQueryGaps[1]) continue;
       for (int iteration = 0; iteration < kMaxIterations; ++iteration) {
         const Vec3s u = found.normal;
         const double move = apart - found.gap;
@@ -212,7 +223,7 @@ class CertifiedQuery {
         const double d = query_pieces(pair, moved, tight_, -apart * u);
         if (!(0 < d && d < kMaxDistance)) break;
         found.point = point, found.answered = true;
-        found.closed = std::abs(d - move - found.gap) <= kGapTolerance;
+        found.closed = std::abs(d - move - found.gap) <= (near ? kRoundingTolerance : kGapTolerance);
         Vec3s n = normal;
         double gap = pair.gap(T, n);
         if (found.gap > 1) {
