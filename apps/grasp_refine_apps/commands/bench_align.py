@@ -38,7 +38,7 @@ class BenchAlign(BenchCommand):
     Two random bodies, a target contact point on each: body 2 moves by normalised gradient descent, or by
     Levenberg-Marquardt, until the witness points lie on the targets. The error of a task is
     |x_a - t_a|^2 + |x_b - t_b|^2 + (d - margin)^2 in m^2, so that 1e-6 is about a millimetre. Every combination of
-    the options is run on the same tasks. Without options, the paper's method runs on the embedded objects.
+    the options is run on the same tasks. Without options, the paper's derivative runs on the embedded objects.
     """
 
     command = "bench align"
@@ -60,11 +60,11 @@ class BenchAlign(BenchCommand):
     classes: Annotated[DisallowNone[tuple[Class, ...] | None], default("all but face-face")] = None
     """Features of body 1 and body 2 on which the targets lie. Face-face targets are counted separately."""
     solvers: Annotated[DisallowNone[tuple[SolverName, ...] | None], default("descent")] = None
-    """Solver: the paper's normalised gradient descent, or levenberg-marquardt, which ends each task when its error is
-    below 1e-14 m^2. The latter differentiates by contact kinematics over neighbourhoods of its own, moves body 2 and
-    runs in double precision on the CPU; a budget is the maximum number of iterations, each one query, of a task.
-    closed-form places body 2 once, with opposite normals at the targets, without a derivative or an iteration.
-    closed-form-first is levenberg-marquardt; a stalled task restarts from that pose first."""
+    """Solver: normalised gradient descent, the paper's in short runs, or levenberg-marquardt, which ends each task
+    when its error is below 1e-14 m^2. The latter differentiates by contact kinematics over neighbourhoods of its own,
+    moves body 2 and runs in double precision on the CPU; a budget is the maximum number of iterations, each one query,
+    of a task. closed-form places body 2 once, with opposite normals at the targets, without a derivative or an
+    iteration. closed-form-first is levenberg-marquardt; a stalled task restarts from that pose first."""
     methods: Annotated[DisallowNone[tuple[MethodName, ...] | None], default("distance")] = None
     """Derivative of the witness points in descent."""
     neighborhoods: Annotated[DisallowNone[tuple[NeighborhoodName, ...] | None], default("adaptive")] = None

@@ -56,7 +56,7 @@ def test_a_run_prints_a_table_and_writes_its_rows(capfd: pytest.CaptureFixture[s
     assert "3 targets" in out and "seed 0" in out and "convex, 1 pair" in out and "bench.json" in out
     assert max(map(len, out.splitlines())) <= 80
     lines = [line.split() for line in out.splitlines() if line.startswith("distance")]
-    assert [line[1] for line in lines] == ["20", "40"] and all(len(line) == 11 for line in lines)
+    assert [line[1] for line in lines] == ["20", "40"] and all(len(line) == 10 for line in lines)
     assert list(found) == [
         "schema", "command", "invocation", "versions", "machine", "engine", "preset", "config", "seed", "wall_s",
         "cpu_s", "problems", "rows",

@@ -22,9 +22,6 @@ class AlignmentResult:
     error: np.ndarray
     """Smallest |x_a - t_a|^2 + |x_b - t_b|^2 + (d - beta)^2 of all iterates (N, P), in square metres, by plain witness
     points."""
-    last_error: np.ndarray
-    """Error of the last iterate (N, P), in square metres, as the paper reports it. The result of Levenberg-Marquardt is
-    its best iterate: there it equals `error`."""
     T_world_a: np.ndarray
     """Poses (N, P, 4, 4) of the first bodies where the error was smallest."""
     T_world_b: np.ndarray

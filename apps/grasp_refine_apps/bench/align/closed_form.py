@@ -82,7 +82,7 @@ def run_closed_form(bodies: Sequence[BodyPair], tasks: Sequence[Tasks], variant:
     member = np.cumsum(counts) - counts + task % counts
     T_a, T_b = every.T_world_a[member], found[member]
     error = errors_at(bodies, pad_tasks(tasks), T_a, T_b, variant.margin)
-    return AlignmentResult(error, error, T_a, T_b, (task < counts).astype(int), watch, cpu_s, wall_s)
+    return AlignmentResult(error, T_a, T_b, (task < counts).astype(int), watch, cpu_s, wall_s)
 
 
 def turned(T: np.ndarray, pivot: np.ndarray, w: np.ndarray, to: np.ndarray) -> np.ndarray:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from zlib import crc32
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from grasp_refine_apps.bench.align.aligned import AlignmentResult, errors_at, pa
 from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.closed_form import ClosedForm, turned
 from grasp_refine_apps.bench.align.patch import Patch
+from grasp_refine_apps.bench.align.restarts import generator, random_rotation
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch
 from grasp_refine_apps.bench.align.tasks import Tasks
 from grasp_refine_apps.bench.align.variants import Variant
@@ -34,9 +34,6 @@ TOLERANCE_M2 = 1e-14
 
 RADIUS_FACTORS = (1.0, 0.5, 2.0, 0.25, 0.0)
 """Factors of the neighbourhoods' radii, one after the other at each rejection; 0: no smoothing."""
-
-NEAR_ANGLES_RAD, FAR_ANGLES_RAD = (0.003, 0.5), (0.3, np.pi)
-"""Ranges of restart angles in radians: from the best pose (log-uniform), and from the current pose."""
 
 MAX_ROTATION_RAD = 2.0
 """Largest rotation of a step in radians."""
@@ -93,7 +90,7 @@ def run_levenberg_marquardt(
     T_a, T_b = problem.tasks.T_world_a[member], found.point.T[member]
     error = errors_at(bodies, pad_tasks(tasks), T_a, T_b, variant.margin)
     iterations = np.where(task < counts, found.iterations[member], 0)
-    return AlignmentResult(error, error, T_a, T_b, iterations, watch, cpu_s, wall_s)
+    return AlignmentResult(error, T_a, T_b, iterations, watch, cpu_s, wall_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,8 +142,6 @@ class AlignProblem:
         self.pairs = Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies))
         self.pair = np.repeat(np.arange(len(bodies)), [len(t) for t in tasks])
         self.tasks, self.margin, self.seed, self.patch = join(*tasks), margin, seed, patch
-        # The result of a task must not depend on the others, so restarts are keyed by the task itself.
-        self.key = [crc32(T.tobytes()) for T in self.tasks.T_world_b]
         self.curvatures = PairCurvatures.of(self.pairs, SMALLEST_CURVATURE)
         self.length = np.array([0.25 * (pair.a.diagonal + pair.b.diagonal) for pair in bodies])
         self.closed = ClosedForm(self.pairs, self.pair, self.tasks, margin) if with_closed_form else None
@@ -223,13 +218,11 @@ class AlignProblem:
         kind = start % 3 if self.closed is not None else np.where(start % 2 == 1, 2, 0)
         w, roll = np.zeros((len(member), 3)), np.zeros(len(member))
         for row, (m, k, way) in enumerate(zip(member.tolist(), start.tolist(), kind.tolist(), strict=True)):
-            rng = np.random.default_rng((self.seed, self.key[m], k))
+            rng = generator(self.seed, self.tasks.T_world_b[m], k)
             if way == 1:
                 roll[row] = rng.uniform(0.0, 2.0 * np.pi) if k > 1 else 0.0
             else:
-                axis = rng.normal(size=3)
-                angle = rng.uniform(*FAR_ANGLES_RAD) if way == 2 else np.exp(rng.uniform(*np.log(NEAR_ANGLES_RAD)))
-                w[row] = axis / np.linalg.norm(axis) * angle
+                w[row] = random_rotation(rng, far=way == 2)
         T = choose(kind == 2, now.T, best.T)
         pivot = transform_points(T, self.tasks.target_b[member])
         drawn = turned(T, pivot, w, self._goal(member))

@@ -32,8 +32,8 @@ MAX_LINES = 12
 
 INTRO = """A target point is marked on either of two bodies, and a solver moves one body, or both, until their witness
 points lie on the targets, at the distance of the contact margin. The error is (distance of witness point a from its
-target)² + (the same of b)² + (distance of the bodies − contact margin)², in square metres: 1e-6 m² is 1 mm. Of each
-task the best iterate counts; "last" is the result of the last one. "Closed-form" places a body once, with opposite
+target)² + (the same of b)² + (distance of the bodies − contact margin)², in square metres: 1e-6 m² is 1 mm. Each
+solver returns its best iterate. "Closed-form" places a body once, with opposite
 normals at the targets; "closed-form-first" is Levenberg-Marquardt, which tries that pose first when a task stalls. The
 other rows show the value of a derivative. "Patch" evaluates the same poses by those of all nearly closest points that
 are nearest to the targets.
@@ -65,7 +65,6 @@ COLUMNS = (
     Column("d9", "D9", "m²", ".0e", "lower", "9th decile: nine of ten errors are below it"),
     _accuracy("reachable.acc_1e6", "reach\u00adable", "Acc@1e-6 of the targets known to be reachable within 0.1 mm"),
     _accuracy("unfiltered.acc_1e6", "all drawn", "Acc@1e-6 of all targets drawn, also where bodies are in the way"),
-    _accuracy("last.acc_1e6", "last", "Acc@1e-6 of the last iterates, not the best"),
     Column("queries_mean", "queries", form=".0f", better="lower", hint="collision queries per target", only="page"),
     Column("query_us", "query", "µs", ".0f", "lower", "CPU time of a query, forward and backward"),
     Column("sampling_us", "sampling", "µs", ".0f", hint="of these, the choice of surface samples", only="page"),

@@ -47,8 +47,8 @@ def _of_group(
     names = [pair.name for one in group for pair in one.job.pairs]
     tasks = [tasks for one in group for tasks in one.job.tasks]
     found = [(one, p) for one in group for p in range(len(one.job.pairs))]
-    best, last = ([one.errors(p)[k] for one, p in found] for k in range(2))
-    patch = [errors for one, p in found if (errors := one.patch_errors(p)) is not None]
+    errors = [one.errors(p) for one, p in found]
+    patch = [by_patch for one, p in found if (by_patch := one.patch_errors(p)) is not None]
     # Face-face targets are listed separately: where two planes touch, the witness is not unique.
     plain = [t.target_class != CLASSES.index("face-face") for t in tasks]
     alone = not any(mask.any() for mask in plain)
@@ -62,7 +62,7 @@ def _of_group(
             "pair": pair,
             "target_class": target_class,
             "pairs": pairs,
-            **_statistics(tasks, best, last, masks),
+            **_statistics(tasks, errors, masks),
             "patch": None if variant.epsilon is None else _patch(variant.epsilon, tasks, patch, masks),
             **(times if pair == "all" and target_class == "all" else dict.fromkeys(times)),
         }
@@ -78,17 +78,14 @@ def _of_group(
         yield row(masks, name, "all", 1)
 
 
-def _statistics(
-    tasks: Sequence[Tasks], best: Sequence[np.ndarray], last: Sequence[np.ndarray], masks: Sequence[np.ndarray]
-) -> dict[str, Any]:
-    """Summaries of accepted tasks, of certainly reachable tasks, of all drawn tasks, and of the last iterates."""
-    errors, final = _picked(best, masks), _picked(last, masks)
+def _statistics(tasks: Sequence[Tasks], found: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> dict[str, Any]:
+    """Summaries of accepted tasks, of certainly reachable tasks, and of all drawn tasks."""
+    errors = _picked(found, masks)
     accepted, reachable = (_picked([getattr(t, name) for t in tasks], masks) for name in ("accepted", "reachable"))
     return {
         **summary(errors[accepted]),
         "reachable": summary(errors[reachable]),
         "unfiltered": summary(errors, _picked([t.weight for t in tasks], masks)),
-        "last": summary(final[accepted]),
     }
 
 

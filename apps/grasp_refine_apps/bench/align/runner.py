@@ -20,8 +20,6 @@ from grasp_refine_apps.bench.timing import one_thread
 PAIRS_PER_JOB = {"convex": 32, "concave": 4}
 """Kind -> pairs run together: many where small operations dominate the cost."""
 
-CONCAVE_PAIRS_OF_DESCENT = 2
-
 EARLY_COST_SHARE = 0.1
 """Approximate share of its budget that Levenberg-Marquardt uses, and of the time of an iteration of descent."""
 
@@ -81,10 +79,9 @@ class JobResult:
     patch_error: np.ndarray | None = None
     """Errors (N, P) at the best poses by the patch witness, in square metres; None: not measured."""
 
-    def errors(self, pair: int) -> tuple[np.ndarray, np.ndarray]:
-        """Best and last errors of the tasks of a pair."""
-        count = len(self.job.tasks[pair])
-        return self.aligned.error[:count, pair], self.aligned.last_error[:count, pair]
+    def errors(self, pair: int) -> np.ndarray:
+        """Errors of the tasks of a pair."""
+        return self.aligned.error[: len(self.job.tasks[pair]), pair]
 
     def patch_errors(self, pair: int) -> np.ndarray | None:
         """Errors of the tasks of a pair by the patch witness."""
@@ -109,8 +106,6 @@ def alignments(
         index.sort(key=lambda i: len(pairs[i].a.pieces) * len(pairs[i].b.pieces))
         for variant in variants:
             width = PAIRS_PER_JOB[kind]
-            if variant.solver == "descent" and kind == "concave":
-                width = CONCAVE_PAIRS_OF_DESCENT
             for start in range(0, len(index), width):
                 group = index[start : start + width]
                 chosen = tuple(tasks[i] if variant.every == 1 else tasks[i].every(variant.every) for i in group)
