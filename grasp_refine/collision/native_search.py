@@ -31,6 +31,9 @@ _ITEMS_PER_THREAD = 512
 _STEPS_PER_THREAD = 128
 """Fewest steps of a solver for another thread."""
 
+_PRODUCTS_PER_THREAD = 2**20
+"""Fewest multiplications for another thread."""
+
 _PROGRAMS_PER_THREAD = 128
 """Fewest programs of contact forces for another thread, likewise."""
 
@@ -158,6 +161,18 @@ def bounded_steps(
     threads = threads or threads_for(len(predicted), _STEPS_PER_THREAD)
     _native.bounded_steps(*contiguous, unilateral, passes, dx, predicted, threads)
     return dx, predicted
+
+
+def products(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Return the products (..., R, U) of matrices (..., R, K) and (..., K, U), each sum in order of its terms.
+
+    Zeros among the terms change no bit, and the result is the same on all processors; BLAS adds in lanes.
+    """
+    lead, (R, K), U = A.shape[:-2], A.shape[-2:], B.shape[-1]
+    out = np.empty((*lead, R, U))
+    A, B = (np.ascontiguousarray(each.reshape(-1, *each.shape[-2:]), dtype=np.float64) for each in (A, B))
+    _native.products(A, B, out, threads_for(out.size * K, _PRODUCTS_PER_THREAD))
+    return out
 
 
 def _shape_of(piece: Piece, unit: float) -> "_native.Shape":

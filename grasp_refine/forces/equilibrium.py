@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from grasp_refine.collision.engine import chosen
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.array_records import take
 from grasp_refine.core.array_types import Bool, Float
@@ -209,7 +210,7 @@ class Equilibrium:
         b = np.concatenate([np.zeros_like(eye), eye / LEVER_M, twists[..., 3:]], axis=1)
         # Forces turn with their basis, df = Omega x f: d(a . f) = (f x a) . Omega + (f x b) . dx.
         covector = cross(np.stack([f, f], axis=-2)[:, :, None], np.stack([a, b], axis=-2)[:, None])
-        J = (covector.reshape(M, -1, C * 6) @ motion).reshape(M, P, a.shape[1], -1)
+        J = _products(covector.reshape(M, -1, C * 6), motion).reshape(M, P, a.shape[1], -1)
         if len(self.infeasible):
             J[:, :, 6:] += self.infeasible.changes(frames, link, p, f)
         G, _ = grasp_map(np.where(moving.there[..., None], p, np.nan), n, center, forms, axes)
@@ -250,9 +251,9 @@ class Equilibrium:
             most, excess = heaviest_link(local, link[:, None])
             part = N[..., 0] * (most & (excess > -SHARE_TOLERANCE)[..., None])[..., None]
             sums = [part, sums[0] - part]
-        compliance = free @ free.mT
+        compliance = _products(free, free.mT)
         for along in (part.reshape(M, P, 3 * C, 1) for part in sums):
-            length, lost = (along * along).sum(axis=(-2, -1))[..., None, None], free @ along
+            length, lost = _products(along.mT, along), _products(free, along)
             scale = np.where(length > 1e-9, 1.0 / np.where(length > 1e-9, length, 1.0), 0.0)
             compliance = compliance - scale * (lost @ lost.mT)
         return compliance
@@ -270,6 +271,15 @@ class Equilibrium:
         values, vectors = np.linalg.eigh(np.concatenate([squares, squares + np.diag([1.0, 0.0, 0.0])]))
         projectors = (vectors * (values < 1e-6)[:, None]) @ vectors.mT
         return faces, np.concatenate([projectors, np.zeros((1, 3, 3))])
+
+
+def _products(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Return products of matrices in which zeros of contacts that only other grasps have change no bit."""
+    if chosen("auto") == "python":
+        return A @ B
+    from grasp_refine.collision.native_search import products
+
+    return products(A, B)
 
 
 @dataclass(frozen=True, eq=False)

@@ -100,7 +100,8 @@ class InfeasibleTorques:
         follows = chain.joint_mask(links)[..., 6 + used]
         linear, angular = np.split(frames.axes[..., 6 + used].mT[:, None], 2, axis=-1)
         W = np.concatenate([f, cross(p[:, None] + np.zeros_like(f), f)], axis=-1)
-        W = (follows.T if links.ndim == 1 else follows[:, None].mT) @ W
+        # Added contact by contact: zeros of contacts that only other grasps have change no bit.
+        W = (np.broadcast_to(follows, (M, *follows.shape[-2:]))[:, None, ..., None] * W[..., None, :]).sum(axis=2)
         moved = _carried(linear, angular, W).reshape(M, P * len(used), 6)
         moved = chain.to_joint_space(frames, moved, np.tile(len(chain.links) + used, P))
         return self.shared[:, used] @ moved.reshape(M, P, len(used), -1)

@@ -56,6 +56,7 @@ def refine_problem(
     cache: InputCache | None = None,
     threads: int | None = None,
     on_refined: Callable[[RefinedGrasps], None] = lambda refined: None,
+    parts: Sequence[Outcome] | None = None,
 ) -> RefinedGrasps:
     """Refine and measure all grasps of a problem, and, on request, simulate its task with them before and after.
 
@@ -69,6 +70,7 @@ def refine_problem(
         cache: Keeps hands and worlds of the simulation for the next problem.
         threads: CPU threads of the simulation; by default as many as there are.
         on_refined: Called with the refined grasps before they are simulated.
+        parts: Outcomes of its groups, by `refine_groups`; None: they are refined here.
 
     Raises:
         GraspRefineError: a link that should touch does not exist, or MuJoCo cannot compile the hand or the world, or
@@ -76,11 +78,7 @@ def refine_problem(
     """
     config, listener = config or Config(), listener or Listener()
     worlds = worlds_of(problem, cache=cache, on_note=listener.note) if engines else None
-    parts = [
-        part
-        for groups in sets_of(problem.groups, config)
-        for part in refine_together(groups, config, progress=listener.refining(groups), on_note=listener.note)
-    ]
+    parts = parts if parts is not None else refine_groups(problem.groups, config, listener)
     outcome = Outcome.join(parts).select(problem.order)
     if ignored := ignored_overlaps(problem.hand, outcome.q):
         listener.note(ignored)
@@ -89,6 +87,19 @@ def refine_problem(
     if worlds is None:
         return refined
     return replace(refined, simulated=_simulate(problem, parts, worlds, listener, threads, engines))
+
+
+def refine_groups(groups: Sequence[Group], config: Config, listener: Listener) -> list[Outcome]:
+    """Refine groups, of one problem or of several, together where they can be; return the outcome of each.
+
+    Raises:
+        GraspRefineError: a link that should touch does not exist.
+    """
+    return [
+        part
+        for some in sets_of(groups, config)
+        for part in refine_together(some, config, progress=listener.refining(some), on_note=listener.note)
+    ]
 
 
 def refine_group(

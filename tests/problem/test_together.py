@@ -43,11 +43,8 @@ def test_grasps_refined_together_are_the_grasps_refined_alone(groups: list[Group
     both = zip(groups, refine_together(set_, config), strict=True)
     for group, found in both:
         alone = refine_group(group, config)
-        np.testing.assert_allclose(found.hand_pose, alone.hand_pose, atol=1e-7)
-        np.testing.assert_allclose(found.q, alone.q, atol=1e-7)
-        np.testing.assert_allclose(found.stage_q, alone.stage_q, atol=1e-6)
-        np.testing.assert_allclose(found.quality, alone.quality, atol=1e-5)
-        np.testing.assert_array_equal(found.status, alone.status)
+        for name in ("hand_pose", "q", "stage_q", "quality", "status"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(alone, name), name)
         assert set(found.object) == {group.object} and len(found) == len(group.rows)
 
 

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.batch.bundle import Bundle
 from grasp_refine_apps.batch.failed import suspected
 from grasp_refine_apps.batch.plan import Refused
 from grasp_refine_apps.batch.progress import Progress
@@ -87,12 +88,14 @@ class Session:
         return int(each * self.open_grasps)
 
     def run(
-        self, shards: Sequence[Shard], pool: Pool, progress: Progress, *, tries: int, patience_s: float | None
+        self, bundles: Sequence[Bundle], pool: Pool, progress: Progress, *, tries: int, patience_s: float | None
     ) -> None:
-        """Work on shards, and record the result of each; stop when nothing more can be written.
+        """Work on bundles of shards, and record the result of each shard; stop when nothing more can be written.
+
+        Shards of a bundle whose worker is lost are tried again one by one.
 
         Args:
-            shards: The shards.
+            bundles: The bundles.
             pool: The workers.
             progress: Display of heartbeats and results.
             tries: Maximum attempts at a shard whose worker crashes or hangs.
@@ -101,21 +104,32 @@ class Session:
         Raises:
             KeyboardInterrupt: raised again; shards complete by then are kept.
         """
-        unwritten = 0
+        by_number, limits = {bundle.number: bundle for bundle in bundles}, {"tries": tries, "patience_s": patience_s}
+        unwritten, apart = 0, list[Bundle]()
+
+        def heartbeat(number: int, what: str, share: float, refined: int) -> None:
+            for shard in by_number[number].shards:
+                progress.heartbeat(shard.number, what, share, refined * shard.size // by_number[number].size)
+
         try:
-            with closing(
-                dispatch(shards, pool, tries=tries, patience_s=patience_s, heartbeat=progress.heartbeat)
-            ) as results:
-                for shard, result in results:
-                    self.take(shard, result, progress)
-                    full = isinstance(result, Failed) and result.reason == "disk full"
-                    unwritten = unwritten + 1 if full else 0
-                    if unwritten >= MAX_UNWRITTEN:
-                        self.disk_full = True
-                        return
+            with closing(dispatch(bundles, pool, heartbeat=heartbeat, **limits)) as results:
+                for bundle, found in results:
+                    if isinstance(found, Failed) and len(bundle.shards) > 1:
+                        apart += [Bundle((shard,)) for shard in bundle.shards]
+                        continue
+                    each = (found,) if isinstance(found, Failed) else found
+                    for shard, result in zip(bundle.shards, each, strict=True):
+                        self.take(shard, result, progress)
+                        full = isinstance(result, Failed) and result.reason == "disk full"
+                        unwritten = unwritten + 1 if full else 0
+                        if unwritten >= MAX_UNWRITTEN:
+                            self.disk_full = True
+                            return
         finally:
             # Killed workers leave partial files.
-            clean(shards)
+            clean([shard for bundle in bundles for shard in bundle.shards])
+        if apart:
+            self.run(apart, pool, progress, tries=tries, patience_s=patience_s)
 
     def take(self, shard: Shard, result: Done | Failed, progress: Progress) -> None:
         """Record and show the result of a shard."""

@@ -1,4 +1,4 @@
-"""Work on a shard of a batch: from its inputs to its result file alone."""
+"""Work on shards of a batch: from their inputs to their result files alone."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.names import is_folder
@@ -17,15 +17,17 @@ from grasp_refine.core.profiling import Stopwatch
 from grasp_refine.problem.input_cache import InputCache
 from grasp_refine.problem.load import Loader
 from grasp_refine.problem.problem import Group, Problem
-from grasp_refine.problem.refine import Listener, refine_problem
+from grasp_refine.problem.refine import Listener, refine_groups, refine_problem
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.problem.spec import AUTO, NEAREST, ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.results.document import settings
+from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.verdict import advice, should_hold
 from grasp_refine.validation.engine_table import EngineChoice
+from grasp_refine_apps.batch.bundle import Bundle
 from grasp_refine_apps.batch.digests import Digests
 from grasp_refine_apps.batch.plan import ShardTask, task_digest
 from grasp_refine_apps.batch.shard import Done, Shard
@@ -33,10 +35,12 @@ from grasp_refine_apps.processes.task import Failed, Heartbeat
 from grasp_refine_apps.processes.torch_threads import limit_torch_threads
 from grasp_refine_apps.report.command_line import words
 
+Result = TypeVar("Result")
+
 
 @dataclass(frozen=True)
-class ShardWork:
-    """Work function that refines the grasps of a shard, simulates them if enabled, and writes the result file."""
+class BundleWork:
+    """Work function that refines the grasps of shards, simulates them if enabled, and writes the result files."""
 
     config: Config
     """Settings of the refinement."""
@@ -47,32 +51,69 @@ class ShardWork:
     profile: bool = False
     """Whether the time of each stage is measured."""
 
-    def __call__(self, shard: Shard, heartbeat: Heartbeat) -> Done:
-        """Work on a shard.
-
-        Raises:
-            GraspRefineError: an input cannot be used, or the file cannot be written.
-        """
+    def __call__(self, bundle: Bundle, heartbeat: Heartbeat) -> tuple[Done | Failed, ...]:
+        """Work on the shards of a bundle; return the result of each: an exception fails its own shard only."""
         limit_torch_threads(self.config)
         if not self.profile:
-            return self._done(shard, heartbeat)
+            return self._results(bundle, heartbeat)
         with Stopwatch() as watch:
-            done = self._done(shard, heartbeat)
+            found = self._results(bundle, heartbeat)
         profile: dict[str, tuple[float, float, int]] = {}
         profile |= {name: (one.cpu_s, one.wall_s, one.calls) for name, one in watch.spent.items()}
-        return replace(done, profile=profile)
+        # The stages of a bundle are counted once, with its first result.
+        first = next((k for k, one in enumerate(found) if isinstance(one, Done)), None)
+        return tuple(
+            replace(one, profile=profile) if k == first and isinstance(one, Done) else one
+            for k, one in enumerate(found)
+        )
 
-    def _done(self, shard: Shard, heartbeat: Heartbeat) -> Done:
-        wall, cpu = time.perf_counter(), time.process_time()
+    def _results(self, bundle: Bundle, heartbeat: Heartbeat) -> tuple[Done | Failed, ...]:
+        """Refine all shards that can be loaded in one batch, then write the result of each."""
+        progress = _BundleProgress(heartbeat, bundle.size, self._most(), simulates=bool(self.engines))
+        costs = [Cost() for _ in bundle.shards]
+        problems = [
+            _attempt(cost, lambda shard=shard: self._load(shard, heartbeat))
+            for shard, cost in zip(bundle.shards, costs, strict=True)
+        ]
+        loaded = [one for one in problems if isinstance(one, Problem)]
+        parts: list[Outcome] | Failed | None = None
+        if len(loaded) > 1:
+            groups, together = [group for one in loaded for group in one.groups], Cost()
+            parts = _attempt(together, lambda: refine_groups(groups, self.config, progress))
+            for problem, cost in zip(problems, costs, strict=True):
+                if isinstance(problem, Problem):
+                    cost.add(together, len(problem) / sum(map(len, loaded)))
+        results: list[Done | Failed] = []
+        for shard, problem, cost in zip(bundle.shards, problems, costs, strict=True):
+            if isinstance(problem, Failed):
+                results.append(problem)
+                continue
+            own = None
+            if isinstance(parts, list):
+                # Where they fail together, each shard is refined, and fails, alone.
+                own, parts = parts[: len(problem.groups)], parts[len(problem.groups) :]
+            results.append(self._result(shard, problem, own, cost, progress))
+        return tuple(results)
+
+    def _load(self, shard: Shard, heartbeat: Heartbeat) -> Problem:
+        return problem_of(shard.task, self.config.seed, cache_of(shard.task.batch), heartbeat)
+
+    def _result(
+        self, shard: Shard, problem: Problem, parts: list[Outcome] | None, cost: Cost, progress: _BundleProgress
+    ) -> Done | Failed:
+        """Refine the grasps of a shard unless there are `parts`, write its file, and return what it took in all."""
+        done = _attempt(cost, lambda: self._written(shard, problem, parts, progress))
+        return done if isinstance(done, Failed) else replace(done, wall_s=cost.wall_s, cpu_s=cost.cpu_s)
+
+    def _written(self, shard: Shard, problem: Problem, parts: list[Outcome] | None, progress: _BundleProgress) -> Done:
         task, cache = shard.task, cache_of(shard.task.batch)
-        problem = problem_of(task, self.config.seed, cache, heartbeat)
-        share = _ShardProgress(heartbeat, len(problem), self._most(), simulates=bool(self.engines))
-        refined = refine_problem(problem, self.config, engines=self.engines, listener=share, cache=cache, threads=1)
+        settings_of = {"engines": self.engines, "listener": progress, "cache": cache, "threads": 1}
+        refined = refine_problem(problem, self.config, parts=parts, **settings_of)
         outcome, simulated = refined.outcome, refined.simulated
         if task.sampled is None:
             # Rows of the whole file; the problem contains only some of them.
             outcome = replace(outcome, row=task.rows[outcome.row], index=task.index[outcome.index])
-        heartbeat("writing", 1.0, len(outcome))
+        progress.heartbeat("writing", 1.0, progress.total)
         self._save(shard, replace(refined, outcome=outcome))
         good = should_hold(outcome.quality[:, 0]), should_hold(outcome.quality[:, 1])
         return Done(
@@ -80,8 +121,8 @@ class ShardWork:
             usable=int(outcome.usable.sum()),
             good=(int(good[0].sum()), int(good[1].sum())),
             held=None if simulated is None else (int(simulated.held[:, 0].sum()), int(simulated.held[:, 1].sum())),
-            wall_s=time.perf_counter() - wall,
-            cpu_s=time.process_time() - cpu,
+            wall_s=0.0,
+            cpu_s=0.0,
             peak_bytes=peak_bytes(),
             notes=tuple(note for note in problem.notes if note not in problem.convention_notes),
             convention_notes=problem.convention_notes,
@@ -105,6 +146,30 @@ class ShardWork:
         refined.write({name: shard.path}, {name: provenance})
 
 
+@dataclass
+class Cost:
+    """Time spent on a shard, seconds."""
+
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+
+    def add(self, other: Cost, share: float) -> None:
+        """Add a share of another cost."""
+        self.wall_s += share * other.wall_s
+        self.cpu_s += share * other.cpu_s
+
+
+def _attempt(cost: Cost, work: Callable[[], Result]) -> Result | Failed:
+    """Return the result of some work, or its failure, and count its time."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    try:
+        return work()
+    except Exception as error:
+        return Failed.of(error)
+    finally:
+        cost.add(Cost(time.perf_counter() - wall, time.process_time() - cpu), 1.0)
+
+
 @lru_cache(maxsize=1)
 def cache_of(batch: str) -> InputCache:
     """Return the cache of this process for one batch; for another one files may have changed."""
@@ -112,13 +177,13 @@ def cache_of(batch: str) -> InputCache:
 
 
 @dataclass
-class _ShardProgress(Listener):
-    """Listener that reports the share of a shard that is done."""
+class _BundleProgress(Listener):
+    """Listener that reports the share of a bundle that is done."""
 
     heartbeat: Heartbeat
     """Receiver of the share."""
     total: int
-    """Number of grasps of the shard."""
+    """Number of grasps of the bundle."""
     most: int
     """Maximum iterations of a grasp."""
     simulates: bool

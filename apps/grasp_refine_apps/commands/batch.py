@@ -30,6 +30,7 @@ from grasp_refine.results.document import settings
 from grasp_refine.results.profile import profile_entry, profile_table
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.registry import default_protocol
+from grasp_refine_apps.batch.bundle import Bundle, bundles_of
 from grasp_refine_apps.batch.index import IndexKind, index_path
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.batch.lock import locked
@@ -42,7 +43,7 @@ from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.batch.statistics import Statistics
 from grasp_refine_apps.batch.table import batch_table
 from grasp_refine_apps.batch.words import grasps, mebibytes
-from grasp_refine_apps.batch.work import ShardWork, unusable_objects
+from grasp_refine_apps.batch.work import BundleWork, unusable_objects
 from grasp_refine_apps.commands.inputs import Inputs, Sources
 from grasp_refine_apps.commands.option_rules import OptionGroup
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile
@@ -170,7 +171,7 @@ class Batch:
             complete = {number for number, state in states.items() if state is State.COMPLETE}
             session = Session(shards, plan.refused, complete, statistics=Statistics.empty(config.confidence))
             self._run_shards(
-                ShardWork(config, self.validation.engines, described, self.output.profile), session, console
+                BundleWork(config, self.validation.engines, described, self.output.profile), session, console
             )
             with Progress(console, (), 1) as progress:
                 outputs.read(session, progress)
@@ -267,7 +268,7 @@ class Batch:
         return replace(plan, files=(*plan.files, *lists))
 
     @contextmanager
-    def _pool(self, work: ShardWork, workers: int) -> Iterator[Pool]:
+    def _pool(self, work: BundleWork, workers: int) -> Iterator[Pool]:
         """Yield the workers: processes of this machine or of the cluster."""
         if self.sharding.dask is None:
             with closing(LocalPool(work, workers, self.sharding.patience)) as pool:
@@ -278,7 +279,7 @@ class Batch:
         with connect(self.sharding.dask) as client:
             yield ClusterPool(client, self.sharding.dask, work, self.output.out.absolute())
 
-    def _run_shards(self, work: ShardWork, session: Session, console: Console) -> None:
+    def _run_shards(self, work: BundleWork, session: Session, console: Console) -> None:
         """Work on the shards that are left, and record the result of each.
 
         Raises:
@@ -303,7 +304,10 @@ class Batch:
             usable = [shard for shard in todo if shard.number not in unusable]
             try:
                 with self._pool(work, workers) as pool:
-                    session.run(usable, pool, progress, tries=self.sharding.tries, patience_s=self.sharding.patience)
+                    # Simulated grasps take so long that those refined together would not be faster.
+                    bundles = [Bundle((shard,)) for shard in usable] if simulated else bundles_of(usable, workers)
+                    limits = {"tries": self.sharding.tries, "patience_s": self.sharding.patience}
+                    session.run(bundles, pool, progress, **limits)
             except KeyboardInterrupt:
                 there = f"{len(session.complete)} of {count_text(len(session.shards), 'shard')} complete"
                 command = "without --again, the command" if self.sharding.again else "the same command"

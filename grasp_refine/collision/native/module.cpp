@@ -18,6 +18,7 @@ void bind_chain(nb::module_& m);
 void bind_curvature(nb::module_& m);
 void bind_face_patch(nb::module_& m);
 void bind_forces(nb::module_& m);
+void bind_products(nb::module_& m);
 }  // namespace grasp_refine
 
 using namespace grasp_refine;
@@ -251,4 +252,5 @@ NB_MODULE(_native, m) {
   bind_curvature(m);
   bind_face_patch(m);
   bind_forces(m);
+  bind_products(m);
 }

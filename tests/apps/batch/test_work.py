@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,14 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.results.verdict import should_hold
+from grasp_refine_apps.batch.bundle import Bundle, bundles_of
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.batch.plan import Plan, Planner
 from grasp_refine_apps.batch.record import State, state_of
 from grasp_refine_apps.batch.shard import Done, Shard
-from grasp_refine_apps.batch.work import ShardWork, problem_of
+from grasp_refine_apps.batch.work import BundleWork, problem_of
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.processes.task import Sign
+from grasp_refine_apps.processes.task import Failed, Sign
 
 EXAMPLES = resource_dir("robots") / "allegro"
 QUICK = Config(weights=Weights(wrench=0.0), solver=LevenbergMarquardt(iterations=5))
@@ -31,7 +33,10 @@ def planned(folder: Path, source: object, batch: str = "a batch", **defaults: ob
 
 
 def worked(shard: Shard, protocol: str | None = None) -> Done:
-    return ShardWork(QUICK, () if protocol is None else ("mujoco",), {})(shard, lambda *sign: None)
+    work = BundleWork(QUICK, () if protocol is None else ("mujoco",), {})
+    (done,) = work(Bundle((shard,)), lambda *sign: None)
+    assert isinstance(done, Done)
+    return done
 
 
 def content(path: Path) -> dict[str, bytes]:
@@ -61,8 +66,8 @@ def test_signs_of_life_say_how_far_it_is_and_numbers_are_those_of_the_file(grasp
         np.savez(grasps, **{**file, "object": ["rounded_box", "mug"] * 2})
     (shard,) = planned(tmp_path / "out", grasps, object_name="rounded_box").shards
     heard: list[Sign] = []
-    work = ShardWork(QUICK, ("mujoco",), {})  # simulates
-    done = work(shard, lambda what, share, finished=0: heard.append(Sign(what, share, finished)))
+    work = BundleWork(QUICK, ("mujoco",), {})  # simulates
+    (done,) = work(Bundle((shard,)), lambda what, share, finished=0: heard.append(Sign(what, share, finished)))
     with np.load(shard.path) as file:
         provenance = json.loads(str(file["provenance"]))
         held = tuple(int(file[f"simulation_{side}"].sum()) for side in ("before", "after"))
@@ -103,3 +108,36 @@ def test_each_shard_of_sampled_grasps_is_another_draw(tmp_path: Path):
     )
     np.testing.assert_array_equal(first, again)
     assert len(first) == len(second) == 2 and (np.abs(first[:, None] - second).max(axis=2) > 1e-3).all()
+
+
+def test_shards_of_several_objects_are_refined_together_and_come_out_as_alone(tmp_path: Path):
+    jobs = tmp_path / "jobs.csv"
+    files = [EXAMPLES / f"example_{name}.npz" for name in ("rounded_box", "mug", "bottle")]
+    jobs.write_text("name,grasps\n" + "".join(f"{file.stem},{file}\n" for file in files))
+    shards = planned(tmp_path / "out", jobs).shards
+    lost = replace(shards[2], task=replace(shards[2].task, object_digest="another"))
+    some = (*shards[:2], lost, *shards[3:])
+    found = BundleWork(QUICK, (), {})(Bundle(some), lambda *sign: None)
+    assert [type(one) for one in found] == [Failed if shard is lost else Done for shard in some], "one fails alone"
+    together = {shard.number: content(shard.path) for shard in some if shard is not lost}
+    alone = planned(tmp_path / "alone", jobs).shards
+    for shard in alone:
+        done = worked(shard)
+        if shard.number in together:
+            assert content(shard.path) == together[shard.number]
+            assert done.good == found[shard.number].good and 0.0 < found[shard.number].cpu_s
+
+
+def test_bundles_keep_all_workers_busy(tmp_path: Path):
+    sets = tmp_path / "sets"
+    sets.mkdir()
+    for k in range(12):
+        shutil.copy(EXAMPLES / "example_rounded_box.npz", sets / f"{k}.npz")
+    shards = planned(tmp_path / "out", sets).shards
+    assert sum(shard.size for shard in shards) == 48
+    for workers, sizes in ((1, [12] * 4), (2, [6] * 8), (100, [2] * 24)):
+        bundles = bundles_of(shards, workers)
+        assert [bundle.size for bundle in bundles] == sizes
+        assert [shard for bundle in bundles for shard in bundle.shards] == list(shards)
+    other = replace(shards[1], task=replace(shards[1].task, hand=("another", "hand")))
+    assert len(bundles_of([shards[0], other, *shards[2:]], 1)[0].shards) == 1, "a bundle is of one hand"

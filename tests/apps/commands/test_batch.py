@@ -22,7 +22,7 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine_apps.batch import worst
 from grasp_refine_apps.batch.session import MAX_UNWRITTEN
 from grasp_refine_apps.batch.shard import Shard
-from grasp_refine_apps.batch.work import ShardWork
+from grasp_refine_apps.batch.work import BundleWork
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands import batch as command
 from grasp_refine_apps.processes.task import Failed
@@ -73,7 +73,7 @@ class InThisProcess:
 
     has_queues = False
 
-    def __init__(self, work: ShardWork, workers: int, patience_s: float | None) -> None:
+    def __init__(self, work: BundleWork, workers: int, patience_s: float | None) -> None:
         self._work, self._ended = work, []
 
     def workers(self, wanted: int) -> list[str]:
