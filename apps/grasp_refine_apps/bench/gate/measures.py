@@ -131,8 +131,7 @@ def grasps(progress: Callable[[float], None]) -> dict[str, float]:
     steps = {name: sum(one.iterations.sum() for one in found[name]) for name in found}
     return {
         "grasp": _median(times["grasp"], times["coal"]) / BATCH_SIZE,
-        # With a stride, so that the choice of the few grasps does not matter.
-        "single-grasp": _median(times["single"] / steps["single"], times["all"] / steps["all"]),
+        "single-grasp": _median(times["single"], times["coal"]) / NUM_SINGLES,
         "pieces": _median(times["pieces"] / steps["pieces"], times["grasp"] / steps["grasp"]),
         "descent-step": _median(times["descent"] / steps["descent"], times["grasp"] / steps["grasp"]),
         "bookkeeping": cpu_share([watch], PARTS)[REST],
