@@ -22,6 +22,9 @@ from grasp_refine.core.profiling import stage
 from grasp_refine.core.short_repr import brief
 from grasp_refine.refinement.solvers.status import Status
 
+AGREEMENT = 0.1
+"""Relative difference of losses up to which two starts of a member ended alike."""
+
 Progress = Callable[[int, int, float], None]
 """Called with the number of finished members, the iteration, and the mean loss of the members still running."""
 
@@ -100,6 +103,8 @@ class Record:
     """Iterations so far."""
     idle: np.ndarray
     """Iterations since the best loss last fell notably."""
+    agreeing: np.ndarray
+    """Starts that ended within a tenth of the best loss; one, where that has fallen by more since they began to."""
     spent: np.ndarray
     """Whether the iterations or the time of the member are used up."""
 
@@ -280,6 +285,8 @@ class _Run:
         self.best_loss, self.first_loss = np.full(count, np.inf), np.full(count, np.nan)
         self.iterations, self.queries = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
         self.cpu_s, self.wall_s = np.zeros(count), np.zeros(count)
+        # Starts that agree on a best loss, and that loss.
+        self.agreeing, self.agreed_loss = np.zeros(count, dtype=np.int64), np.full(count, np.inf)
         # Best loss when it last fell notably, and the iteration of that.
         self.best_mark, self.best_at = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
 
@@ -319,7 +326,7 @@ class _Run:
         fell = best < (1.0 - progress) * self.best_mark[member]
         self.best_mark[member[fell]], self.best_at[member[fell]] = best[fell], iterations[fell]
         spent = (iterations >= self.solver.iterations) | (self.cpu_s[member] >= self.seconds[member])
-        record = Record(best, iterations, iterations - self.best_at[member], spent)
+        record = Record(best, iterations, iterations - self.best_at[member], self.agreeing[member], spent)
         slots, status, again = self.solver.assess(self.problem, slots, record)
         status[(status == Status.RUNNING) & spent] = Status.BUDGET
         status[np.isinf(best)] = Status.NOT_FINITE
@@ -334,6 +341,10 @@ class _Run:
     def _restart(self, slots: Slots, rows: np.ndarray) -> Slots:
         """Return the slots with new starts in some rows."""
         problem, member = cast(Any, self.problem), slots.member[rows]
+        best, ended = self.best_loss[member], slots.loss[rows]
+        fell = best < (1.0 - AGREEMENT) * self.agreed_loss[member]
+        self.agreed_loss[member[fell]] = best[fell]
+        self.agreeing[member] = np.where(fell, 1, self.agreeing[member] + (ended < (1.0 + AGREEMENT) * best))
         trial = problem.restart(member, slots.starts[rows], take(self.best, member), take(slots.point, rows))
         trial, state = self.solver.start(problem, trial)
         place = np.arange(len(slots.member))

@@ -88,6 +88,8 @@ class LevenbergMarquardt:
     """Smallest relative fall of the loss that counts as progress."""
     restarts: int = 20
     """Number of restarts of a stalled grasp with given targets, from its own random numbers."""
+    agreeing: int = 50
+    """Starts that end within a tenth of the best loss after which a member ends: other starts lead there again."""
     good: float = 1e-7
     """Best loss (m^2) below which a member does not restart; 1e-7 is a third of a millimetre."""
     widths: tuple[float, ...] = (1.0, 0.5, 2.0, 0.0)
@@ -132,7 +134,7 @@ class LevenbergMarquardt:
     def assess(self, problem: LeastSquares, slots: Slots, record: Record) -> tuple[Slots, np.ndarray, np.ndarray]:
         """Return the slots, the status of each member, and which should restart."""
         restarts = self.restarts if problem.restarts else 0
-        more = (slots.starts <= restarts) & (record.best_loss >= self.good)
+        more = (slots.starts <= restarts) & (record.best_loss >= self.good) & (record.agreeing < self.agreeing)
         patience = np.where(more, self.patience, self.last_patience)
         stuck = (slots.since >= patience) | (slots.state.damping > self.largest) | np.isinf(slots.loss)
         stalled = (stuck & ~more) | (record.spent & (record.idle >= self.last_patience))

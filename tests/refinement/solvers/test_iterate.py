@@ -230,6 +230,32 @@ def test_members_that_gain_nothing_restart_as_often_and_as_late_as_the_settings_
     assert minimise(Level(np.zeros(1), rest=0.3), start_of(1), damped, 1e-20).iterations[0] == 1 + 4
 
 
+class Stairs(Level):
+    """Levels whose losses fall where a member starts for the third time, by the share `fall`."""
+
+    fall = 0.5
+
+    def residual(self, member: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return self.rest * np.sqrt(np.where(q[:, :1] > 99.0, 1.0 - self.fall, 1.0))
+
+    def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
+        super().restart(member, start, best, now)
+        return Point(best.T, np.where(start[:, None] >= 3, 100.0, 0.0) + np.zeros((len(member), 2)))
+
+
+@pytest.mark.parametrize(("fall", "starts"), [(0.0, 4), (0.05, 4), (0.5, 3 + 4)])
+def test_a_member_ends_after_enough_starts_that_end_alike_counted_anew_from_a_lower_loss(
+    fall: float, starts: int
+) -> None:
+    solver = LevenbergMarquardt(iterations=500, restarts=99, patience=3, last_patience=5, agreeing=4)
+    problem = Stairs(np.zeros(1), rest=0.3)
+    problem.fall = fall
+    found = minimise(problem, start_of(1, spread=0.0), solver, 1e-20)
+    assert found.iterations[0] == starts * (1 + 3) + 1 + 5
+    assert found.status[0] == Status.STALLED
+    assert found.loss[0, 1] == pytest.approx(0.09 * (1.0 - fall))
+
+
 def test_neighbourhoods_change_with_every_rejection_and_only_then() -> None:
     problem = Valley(np.linspace(-2, 2, 5))
     minimise(problem, start_of(5), SOLVER, 1e-20)
