@@ -111,12 +111,12 @@ def engine_of(name: str, world: World) -> Engine:
 
 
 def chosen_engines(
-    choice: Sequence[EngineChoice], worlds: Sequence[World], on_note: Callable[[str], None] = lambda line: None
+    choice: Any, worlds: Sequence[World], on_note: Callable[[str], None] = lambda line: None
 ) -> tuple[EngineName, ...]:
     """Return the names of the chosen engines, in the order of the choice.
 
     Args:
-        choice: Names; "all" stands for all engines that are installed and simulate these worlds.
+        choice: Names, a sequence; "all" stands for all engines that are installed and simulate these worlds.
         worlds: The worlds.
         on_note: Called with the reason for each engine that "all" leaves out.
 

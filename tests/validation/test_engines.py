@@ -40,7 +40,7 @@ def test_an_unknown_engine_is_refused_with_the_choices(world: World) -> None:
         engine_of("bullet", world)
     for wrong in ("mujoco", [], ["mujoco", "bullet"]):
         with pytest.raises(GraspRefineError, match="drake"):
-            chosen_engines(wrong, [world])  # type: ignore[arg-type]  # on purpose
+            chosen_engines(wrong, [world])
 
 
 def test_names_of_engines_are_those_of_the_table() -> None:
@@ -50,22 +50,22 @@ def test_names_of_engines_are_those_of_the_table() -> None:
 def test_another_engine_is_one_entry_and_all_leaves_out_those_that_cannot(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A second MuJoCo by another name, and one whose package is not there."""
+    """A second MuJoCo by the name of PhysX, and one whose package is not there."""
     second = replace(ENGINES["mujoco"], title="Second", has_scenes=False)
     missing = replace(second, title="Missing", module="no_such_package.rows", imports="no_such_package", extra="there")
-    entries = {"mujoco": ENGINES["mujoco"], "missing": missing, "second": second}
+    entries = {"mujoco": ENGINES["mujoco"], "drake": missing, "physx": second}
     monkeypatch.setattr(engine_table, "ENGINES", entries)
     notes: list[str] = []
-    assert chosen_engines(["all"], [world], notes.append) == ("mujoco", "second")
+    assert chosen_engines(["all"], [world], notes.append) == ("mujoco", "physx")
     (note,) = notes
-    assert "missing" in note and "grasp-refine[there]" in note
-    assert chosen_engines(["second", "all"], [world]) == ("second", "mujoco")
+    assert "drake" in note and "grasp-refine[there]" in note
+    assert chosen_engines(["physx", "all"], [world]) == ("physx", "mujoco")
     table = EnvironmentBody("table", build_body("table", [box([1.0, 1.0, 0.04])], candidates=16), np.eye(4))
     table.T_world_body[2, 3] = -RADIUS - 0.02
     in_scene = build_world(gripper(), ball(), Task(SCENE, scene=Environment((table,), np.eye(4))))
     notes.clear()
     assert chosen_engines(["all"], [world, in_scene], notes.append) == ("mujoco",)
-    assert "second" in notes[1] and in_scene.scene in notes[1]
+    assert "physx" in notes[1] and in_scene.scene in notes[1]
 
 
 def test_agreement_counts_grasps_and_kappa_is_what_chance_leaves() -> None:

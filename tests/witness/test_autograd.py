@@ -215,8 +215,8 @@ def test_the_backward_pass_in_one_call_is_that_of_the_wrenches(fields: tuple[str
     T_a[1, 0, 0, 3] += 0.5  # beyond the cutoff
     T_b[2, 1, 1, 1] = np.nan
     rng = np.random.default_rng(3)
-    target_a, target_b = rng.normal(scale=0.02, size=(2, *T_a.shape[:2], 3))
-    target_a[::2, 0] = np.nan
+    target_a, target_b = torch.from_numpy(rng.normal(scale=0.02, size=(2, *T_a.shape[:2], 3)))
+    target_a[::2, 0] = torch.nan
     given = {"none": (None, None), "of a": (target_a, None), "of both": (target_a, target_b)}[targets]
     weights = {name: torch.from_numpy(rng.normal(size=(*T_a.shape[:2], 3))) for name in fields}
     found = []

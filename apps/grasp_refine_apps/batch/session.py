@@ -104,7 +104,7 @@ class Session:
         Raises:
             KeyboardInterrupt: raised again; shards complete by then are kept.
         """
-        by_number, limits = {bundle.number: bundle for bundle in bundles}, {"tries": tries, "patience_s": patience_s}
+        by_number = {bundle.number: bundle for bundle in bundles}
         unwritten, apart = 0, list[Bundle]()
 
         def heartbeat(number: int, what: str, share: float, refined: int) -> None:
@@ -112,7 +112,7 @@ class Session:
                 progress.heartbeat(shard.number, what, share, refined * shard.size // by_number[number].size)
 
         try:
-            with closing(dispatch(bundles, pool, heartbeat=heartbeat, **limits)) as results:
+            with closing(dispatch(bundles, pool, tries=tries, patience_s=patience_s, heartbeat=heartbeat)) as results:
                 for bundle, found in results:
                     if isinstance(found, Failed) and len(bundle.shards) > 1:
                         apart += [Bundle((shard,)) for shard in bundle.shards]

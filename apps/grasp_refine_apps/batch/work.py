@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -72,14 +72,14 @@ class BundleWork:
         progress = _BundleProgress(heartbeat, bundle.size, self._most(), simulates=bool(self.engines))
         costs = [Cost() for _ in bundle.shards]
         problems = [
-            _attempt(cost, lambda shard=shard: self._load(shard, heartbeat))
+            _attempt(cost, partial(self._load, shard, heartbeat))
             for shard, cost in zip(bundle.shards, costs, strict=True)
         ]
         loaded = [one for one in problems if isinstance(one, Problem)]
         parts: list[Outcome] | Failed | None = None
         if len(loaded) > 1:
             groups, together = [group for one in loaded for group in one.groups], Cost()
-            parts = _attempt(together, lambda: refine_groups(groups, self.config, progress))
+            parts = _attempt(together, partial(refine_groups, groups, self.config, progress))
             for problem, cost in zip(problems, costs, strict=True):
                 if isinstance(problem, Problem):
                     cost.add(together, len(problem) / sum(map(len, loaded)))
@@ -102,13 +102,14 @@ class BundleWork:
         self, shard: Shard, problem: Problem, parts: list[Outcome] | None, cost: Cost, progress: _BundleProgress
     ) -> Done | Failed:
         """Refine the grasps of a shard unless there are `parts`, write its file, and return what it took in all."""
-        done = _attempt(cost, lambda: self._written(shard, problem, parts, progress))
+        done = _attempt(cost, partial(self._written, shard, problem, parts, progress))
         return done if isinstance(done, Failed) else replace(done, wall_s=cost.wall_s, cpu_s=cost.cpu_s)
 
     def _written(self, shard: Shard, problem: Problem, parts: list[Outcome] | None, progress: _BundleProgress) -> Done:
         task, cache = shard.task, cache_of(shard.task.batch)
-        settings_of = {"engines": self.engines, "listener": progress, "cache": cache, "threads": 1}
-        refined = refine_problem(problem, self.config, parts=parts, **settings_of)
+        refined = refine_problem(
+            problem, self.config, engines=self.engines, listener=progress, cache=cache, threads=1, parts=parts
+        )
         outcome, simulated = refined.outcome, refined.simulated
         if task.sampled is None:
             # Rows of the whole file; the problem contains only some of them.

@@ -306,8 +306,8 @@ class Batch:
                 with self._pool(work, workers) as pool:
                     # Simulated grasps take so long that those refined together would not be faster.
                     bundles = [Bundle((shard,)) for shard in usable] if simulated else bundles_of(usable, workers)
-                    limits = {"tries": self.sharding.tries, "patience_s": self.sharding.patience}
-                    session.run(bundles, pool, progress, **limits)
+                    tries, patience_s = self.sharding.tries, self.sharding.patience
+                    session.run(bundles, pool, progress, tries=tries, patience_s=patience_s)
             except KeyboardInterrupt:
                 there = f"{len(session.complete)} of {count_text(len(session.shards), 'shard')} complete"
                 command = "without --again, the command" if self.sharding.again else "the same command"
