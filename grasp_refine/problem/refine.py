@@ -154,6 +154,7 @@ def refine_together(
     refinement = refine(scene, config, progress, on_iteration, prepared=prepared)
     for note in () if refinement.closed_m is None else closing_notes(refinement.closed_m, jaws=True):
         on_note(note)
+    alone = dict(zip(prepared.objects, prepared.alone, strict=True))
     outcomes, begin = [], 0
     for group in groups:
         before, found = group.scene, take(refinement, slice(begin, begin + len(group.rows)))
@@ -162,7 +163,7 @@ def refine_together(
         outcome = compare(
             before,
             found,
-            closing_motion(after, HandObject.of(before), on_opening, pressure=config.pressure),
+            closing_motion(after, alone[before.object], on_opening, pressure=config.pressure),
             margin=config.margin,
             clearance=clearances(config, scene.hand, prepared.chain),
             selection=config.contact_selection,

@@ -11,10 +11,7 @@ import numpy as np
 from grasp_refine.core.array_records import index_distinct
 from grasp_refine.problem.problem import Group
 from grasp_refine.refinement.config import Config
-from grasp_refine.scene.scene import TARGET_FIELDS, Scene
-
-ARRAYS = ("T_world_root", "q", *TARGET_FIELDS, "contact_gap")
-"""Arrays of a scene with a row for each grasp."""
+from grasp_refine.scene.scene import GRASP_FIELDS, Scene
 
 
 def sets_of(groups: Sequence[Group], config: Config) -> list[list[Group]]:
@@ -36,7 +33,7 @@ def sets_of(groups: Sequence[Group], config: Config) -> list[list[Group]]:
 
 def _fits(first: Scene, scene: Scene) -> bool:
     """Return whether the grasps of a scene can be refined with the grasps of the first one of a set."""
-    alike = all((getattr(scene, name) is None) == (getattr(first, name) is None) for name in ARRAYS)
+    alike = all((getattr(scene, name) is None) == (getattr(first, name) is None) for name in GRASP_FIELDS)
     return alike and scene.hand is first.hand and scene.task == first.task and first.fits(scene.object)
 
 
@@ -45,7 +42,7 @@ def together(scenes: Sequence[Scene]) -> Scene:
     first, counts = scenes[0], [len(scene.q) for scene in scenes]
     arrays: dict[str, Any] = {
         name: None if getattr(first, name) is None else np.concatenate([getattr(scene, name) for scene in scenes])
-        for name in ARRAYS
+        for name in GRASP_FIELDS
     }
     objects, number = index_distinct([scene.object for scene in scenes])
     return replace(first, **arrays, object=objects[0], others=objects[1:], of_object=np.repeat(number, counts))

@@ -81,7 +81,10 @@ class HandObject:
     @cached_property
     def pairs(self) -> Pairs:
         """Each of these links and the first object, then each and the second, ..."""
-        return Pairs(self.bodies * len(self.objects), tuple(each.body for each in self.objects for _ in self.bodies))
+        return self._with_objects(self.bodies)
+
+    def _with_objects(self, links: tuple[Body, ...]) -> Pairs:
+        return Pairs(links * len(self.objects), tuple(each.body for each in self.objects for _ in links))
 
     def pair(self, number: Int[np.ndarray, " M"], columns: np.ndarray | None = None) -> Int[np.ndarray, "M C"]:
         """Return the indices (M, C) in `pairs` of the links `columns`, by default all, and objects `number` (M,)."""
@@ -216,7 +219,7 @@ class PaddedHand(HandObject):
     @cached_property
     def pairs(self) -> Pairs:
         """Each padded link and each object, in the order of `HandObject.pairs`."""
-        return Pairs(self._padded * len(self.objects), tuple(each.body for each in self.objects for _ in self._padded))
+        return self._with_objects(self._padded)
 
     @cached_property
     def bounding_spheres(self) -> np.ndarray:

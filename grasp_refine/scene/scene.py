@@ -27,6 +27,9 @@ overflow in the end."""
 TARGET_FIELDS = ("target_link", "target_object", "direction")
 """Fields of a scene with contact points and contact normals of links, (N, L, 3)."""
 
+GRASP_FIELDS = ("T_world_root", "q", *TARGET_FIELDS, "contact_gap")
+"""Fields of a scene with numbers of each grasp, (N, ...)."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -189,7 +192,7 @@ class Scene:
 
     def select(self, rows: np.ndarray | slice) -> "Scene":
         """Return the scene with the grasps `rows`, in that order."""
-        names = ("T_world_root", "q", *TARGET_FIELDS, "contact_gap", "of_object")
+        names = (*GRASP_FIELDS, "of_object")
         arrays: dict[str, Any] = {
             name: None if (array := getattr(self, name)) is None else array[rows] for name in names
         }
@@ -203,8 +206,7 @@ class Scene:
         def kept(values: np.ndarray | None) -> np.ndarray | None:
             return None if values is None else np.where(rows.reshape(-1, *(1,) * (values.ndim - 1)), values, np.nan)
 
-        names = ("T_world_root", "q", *TARGET_FIELDS, "contact_gap")
-        arrays: dict[str, Any] = {name: kept(getattr(self, name)) for name in names}
+        arrays: dict[str, Any] = {name: kept(getattr(self, name)) for name in GRASP_FIELDS}
         return replace(self, **arrays)
 
 

@@ -47,6 +47,13 @@ void for_each(const std::vector<size_t>& order, int threads, const Work& work) {
   if (error) std::rethrow_exception(error);
 }
 
+// Items in their order.
+inline std::vector<size_t> in_order(size_t count) {
+  std::vector<size_t> order(count);
+  std::iota(order.begin(), order.end(), 0);
+  return order;
+}
+
 // Items of equal keys follow each other, so that their pieces stay in the processor's cache.
 template <class Key>
 std::vector<size_t> by_key(size_t count, size_t keys, const Key& key) {

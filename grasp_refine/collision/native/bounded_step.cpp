@@ -3,7 +3,6 @@
 
 #include <nanobind/stl/optional.h>
 
-#include <numeric>
 #include <optional>
 #include <stdexcept>
 
@@ -21,9 +20,7 @@ void bounded_steps(In<double> J, In<double> r, In<double> damping, In<double> me
       upper.size() != M * n || dx.size() != M * n || predicted.size() != M || (unilateral && unilateral->size() != M * m))
     throw std::invalid_argument("residuals, derivatives and bounds are of other shapes");
   nb::gil_scoped_release without_the_gil;
-  std::vector<size_t> order(M);
-  std::iota(order.begin(), order.end(), 0);
-  for_each(order, threads, [&](size_t k) {
+  for_each(in_order(M), threads, [&](size_t k) {
     thread_local BoundedStep step;
     using Values = BoundedStep::Values;
     const auto values = [&](const In<double>& array, size_t size) { return Values(array.data() + k * size, size); };

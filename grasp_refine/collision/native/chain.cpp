@@ -12,12 +12,6 @@ namespace grasp_refine {
 
 namespace {
 
-std::vector<size_t> in_order(size_t count) {
-  std::vector<size_t> order(count);
-  std::iota(order.begin(), order.end(), 0);
-  return order;
-}
-
 std::vector<Tree::Terms> terms_of(const In<double>& matrix) {
   std::vector<Tree::Terms> rows(matrix.shape(0));
   for (size_t r = 0; r < rows.size(); ++r)

@@ -1,7 +1,6 @@
 // Patches of a batch of contacts, on several threads.
 #include "face_patch.h"
 
-#include <numeric>
 #include <stdexcept>
 
 #include "batch.h"
@@ -28,9 +27,7 @@ void face_patches(In<int64_t> link, In<int64_t> number, In<double> T, In<double>
                     vertices_b.data()};
   const PatchLimits limits{cos_tilt, near, min_extent, min_width};
   nb::gil_scoped_release without_the_gil;
-  std::vector<size_t> order(M);
-  std::iota(order.begin(), order.end(), 0);
-  for_each(order, threads, [&](size_t i) {
+  for_each(in_order(M), threads, [&](size_t i) {
     thread_local PatchFinder finder;
     thread_local Patch patch;
     using Row = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;

@@ -3,7 +3,6 @@
 
 #include <nanobind/stl/optional.h>
 
-#include <numeric>
 #include <optional>
 #include <stdexcept>
 
@@ -73,9 +72,7 @@ void solve_forces(In<double> G, In<bool> there, In<double> load, std::optional<I
                       friction, share, ridge, force.data(), solved.data()};
 
   nb::gil_scoped_release without_the_gil;
-  std::vector<size_t> order(N);
-  std::iota(order.begin(), order.end(), 0);
-  for_each(order, threads, [&](size_t n) { grasps.solve(n); });
+  for_each(in_order(N), threads, [&](size_t n) { grasps.solve(n); });
 }
 
 }  // namespace

@@ -147,9 +147,7 @@ void distances(const NarrowPhase& narrow_phase, In<int64_t> item, In<int64_t> pa
                Out<double> distance, int threads) {
   nb::gil_scoped_release without_the_gil;
   const Poses poses{T_a.data(), T_b.data()};
-  std::vector<size_t> order(item.size());
-  std::iota(order.begin(), order.end(), 0);
-  for_each(order, threads, [&](size_t k) {
+  for_each(in_order(item.size()), threads, [&](size_t k) {
     distance.data()[k] = narrow_phase.distance(pair.data()[k], poses.relative(item.data()[k]));
   });
 }

@@ -13,9 +13,7 @@ void products(In<double> A, In<double> B, Out<double> out, int threads) {
   if (B.shape(0) != N || B.shape(1) != K || out.size() != N * R * U)
     throw std::invalid_argument("matrices are of other shapes");
   nb::gil_scoped_release without_the_gil;
-  std::vector<size_t> order(N);
-  std::iota(order.begin(), order.end(), 0);
-  for_each(order, threads, [&](size_t n) {
+  for_each(in_order(N), threads, [&](size_t n) {
     for (size_t r = 0; r < R; ++r) {
       double* sums = out.data() + U * (n * R + r);
       std::fill_n(sums, U, 0.0);
