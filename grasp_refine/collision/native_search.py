@@ -93,14 +93,14 @@ class NativeSearch:
         previous: tuple[np.ndarray, ...] | None,
         threads: int | None = None,
     ) -> tuple[np.ndarray, ...]:
-        """Return the fields of a `query.Witness`, in its order and in the shape of `limit`, for M items in all.
+        """Return the answers, as `search.Search` says.
 
         Args:
-            pair: The body pair of each item (M,); None: all P pairs, repeated.
-            T_a: Poses (M, 4, 4) of the first bodies in the world.
-            T_b: Poses of the second bodies.
-            limit: Signed distance in metres that an answer has to be below; NaN: the item is passed over.
-            previous: The winners, points on a, points on b and statuses of the last answer.
+            pair: As there, like the arguments that follow.
+            T_a: As there.
+            T_b: As there.
+            limit: As there.
+            previous: As there.
             threads: Number of threads; by default `OMP_NUM_THREADS`, or one a core, fewer for few items.
         """
         shape = limit.shape

@@ -50,7 +50,7 @@ class PythonSearch:
         limit: np.ndarray,
         previous: tuple[np.ndarray, ...] | None,
     ) -> tuple[np.ndarray, ...]:
-        """Return the fields of a `query.Witness`; see `native_search.NativeSearch.query`."""
+        """Return the answers, as `search.Search` says."""
         shape, M = limit.shape, limit.size
         pair = np.arange(M) % len(self._bodies) if pair is None else np.reshape(pair, M)
         limit, T_a, T_b = limit.reshape(M), T_a.reshape(M, 4, 4), T_b.reshape(M, 4, 4)

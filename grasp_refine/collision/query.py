@@ -5,22 +5,20 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from grasp_refine.collision.certified_distance import Tolerances
 from grasp_refine.collision.engine import Engine, chosen
 from grasp_refine.collision.python_search import PythonSearch
+from grasp_refine.collision.search import Search
 from grasp_refine.core.arguments import as_numbers, check_kind, describe_value
 from grasp_refine.core.errors import CollisionError, GraspRefineError
 from grasp_refine.core.profiling import count_queries, stage
 from grasp_refine.core.short_repr import spread, tallied
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
-
-if TYPE_CHECKING:
-    from grasp_refine.collision.native_search import NativeSearch
 
 
 class QueryStatus(IntEnum):
@@ -168,7 +166,7 @@ class Pairs:
 
     @cached_property
     @stage("loading")
-    def search(self) -> "NativeSearch | PythonSearch":
+    def search(self) -> Search:
         """Search of the engine among the piece pairs."""
         if chosen(self.engine) == "python":
             return PythonSearch(self.a, self.b, self.tolerances)
