@@ -250,7 +250,7 @@ class Batch:
             raise GraspRefineError(
                 f"{', '.join(self.jobs)}: no jobs in it but the results in {out}; give another --out"
             )
-        planner = Planner(out, self.sharding.shard_size, uuid4().hex, described, seed)
+        planner = Planner(out, self.sharding.size(simulated=self.validation.validate), uuid4().hex, described, seed)
         plan = planner.plan(
             jobs, progress.say, lambda number, name: progress.wait(f"planning {number + 1}/{len(jobs)}: {name}")
         )

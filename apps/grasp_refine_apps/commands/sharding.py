@@ -16,6 +16,10 @@ from grasp_refine_apps.commands.options import check_numbers
 MIN_PATIENCE_S = 5.0
 """Minimum of --patience, seconds: a worker takes some to start."""
 
+SHARD_SIZE, SIMULATED_SHARD_SIZE = 64, 16
+"""Grasps of a shard where they are refined only, and where they are simulated, which takes ten times as long: a minute
+or less of work, so that all workers have some."""
+
 
 @dataclass(frozen=True)
 class Sharding:
@@ -25,7 +29,10 @@ class Sharding:
 
     workers: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: the cores of this machine)")] = None
     """Number of processes on this machine; each takes 0.4 to 1 GB, and is replaced when it crashes or hangs."""
-    shard_size: int = 64
+    shard_size: Annotated[
+        DisallowNone[int | None],
+        arg(help_behavior_hint=f"(default: {SHARD_SIZE}, {SIMULATED_SHARD_SIZE} with --validate)"),
+    ] = None
     """Maximum number of grasps of a shard, the unit of work: a shard becomes one result file, or fails."""
     together: bool = False
     """Treat a folder as one set of grasps, as `run` does, instead of one job per file: for generators that write a file
@@ -46,6 +53,11 @@ class Sharding:
     def num_workers(self, shards: int) -> int:
         """Return the number of processes for a number of shards."""
         return min(self.workers or usable_cores(), shards)
+
+    def size(self, *, simulated: bool) -> int:
+        """Return the maximum number of grasps of a shard, for grasps that are simulated or not."""
+        default = SIMULATED_SHARD_SIZE if simulated else SHARD_SIZE
+        return default if self.shard_size is None else self.shard_size
 
     def part(self) -> tuple[int, int]:
         """Return the part to do, from 1 on, and the number of parts.
