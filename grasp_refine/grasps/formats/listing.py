@@ -12,6 +12,7 @@ from grasp_refine.grasps.formats.dexonomy import Dexonomy
 from grasp_refine.grasps.formats.dro import DRO
 from grasp_refine.grasps.formats.format import Format, check_format
 from grasp_refine.grasps.formats.frogger import Frogger
+from grasp_refine.grasps.formats.graspm3 import GraspM3
 from grasp_refine.grasps.formats.graspqp import GraspQP
 from grasp_refine.grasps.formats.hugs import Hugs
 from grasp_refine.grasps.formats.isaac_grasp import IsaacGrasp
@@ -43,6 +44,7 @@ FORMATS: Registry[Format] = Registry(
         Hugs(),
         Acronym(),
         MultiGripperGrasp(),
+        GraspM3(),
     ),
     name_of=lambda known: known.name,
     check=check_format,
