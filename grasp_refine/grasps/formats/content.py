@@ -7,7 +7,7 @@ import warnings
 import zipfile
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
 from grasp_refine.core.names import is_file
 from grasp_refine.core.npz_files import MAGIC, MAX_HEADER_BYTES, ZIP_ERRORS, array_header
+from grasp_refine.grasps.formats.archives import ARCHIVE_SUFFIXES
 from grasp_refine.grasps.formats.hdf5_files import HDF5_MAGIC, load_hdf5
 from grasp_refine.grasps.formats.pickled import (
     ARRAY_KINDS,
@@ -30,7 +31,7 @@ from grasp_refine.grasps.formats.torch_files import is_torch_file, load_torch
 
 ARRAY_SUFFIXES = (".npz", ".npy", ".pickle", ".pkl")
 """Endings of files that can hardly be anything but grasps in a folder of such."""
-OTHER_SUFFIXES = (".yaml", ".yml", ".json", ".pt", ".pth", ".h5", ".hdf5")
+OTHER_SUFFIXES = (".yaml", ".yml", ".json", ".pt", ".pth", ".h5", ".hdf5", *ARCHIVE_SUFFIXES)
 """Endings of files that may be grasps, or what lies beside them."""
 SUFFIXES = (*ARRAY_SUFFIXES, *OTHER_SUFFIXES)
 """Endings of grasp files."""
@@ -72,9 +73,20 @@ def load_content(path: Path) -> Any:
         raise GraspFileError(f"{path}: cannot be read ({error.strerror or error})") from None
     if len(data) > MAX_FILE_BYTES:
         raise GraspFileError(f"{path}: has more than the {MAX_FILE_BYTES / 2**20:.0f} MiB that are read")
+    return content_of(data, path)
+
+
+def content_of(data: bytes, path: Path) -> Any:
+    """Return the contents of the bytes of a file, as `load_content`; `path` names it in errors, and need not exist.
+
+    Raises:
+        GraspFileError: it is damaged, or would run code.
+    """
     if not data:
         raise GraspFileError(f"{path}: is empty")
     try:
+        if path.suffix.lower() == ".npz" and not is_torch_file(data):
+            return _pickled_entries(io.BytesIO(data), len(data), path)
         return _read(data, path.suffix.lower())
     except Refused as error:
         if data.startswith((MAGIC, PICKLE_START, HDF5_MAGIC, *ZIP_STARTS)):
@@ -92,10 +104,16 @@ def load_pickled_npz(path: Path) -> dict[str, Any] | None:
     """
     if not _holds_objects(path):
         return None
+    with path.open("rb") as file:
+        return _pickled_entries(file, path.stat().st_size, path)
+
+
+def _pickled_entries(file: IO[bytes], packed: int, path: Path) -> dict[str, Any]:
+    """Entries of an .npz of some size; `path` names it in errors."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(file) as archive:
             members = archive.infolist()
-            size, packed = sum(member.file_size for member in members), path.stat().st_size
+            size = sum(member.file_size for member in members)
             if size > min(MAX_GROWTH * packed + FREE_BYTES, MAX_FILE_BYTES):
                 raise Refused(f"would unpack to {size / 2**20:.0f} MiB, far more than its {packed / 2**20:.1f} MiB")
             return {member.filename.removesuffix(".npy"): _read(archive.read(member), ".npy") for member in members}

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.array_types import Float
+from grasp_refine.core.errors import MeshError
 from grasp_refine.core.names import is_file
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform
-from grasp_refine.geometry.mesh import MeshError, load_mesh
+from grasp_refine.geometry.mesh import load_mesh
 from grasp_refine.grasps.formats.dexgraspnet import rotation_from_angles
 from grasp_refine.grasps.formats.format import Format
 from grasp_refine.grasps.formats.layout import Layout, layout_of

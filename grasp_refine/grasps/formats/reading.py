@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 import zipfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,8 @@ from grasp_refine.core.arguments import check_kind, describe_value
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.names import is_folder
 from grasp_refine.core.npz_files import ZIP_ERRORS, is_zip
-from grasp_refine.grasps.formats.content import ARRAY_SUFFIXES, SUFFIXES, load_content, load_pickled_npz
+from grasp_refine.grasps.formats.archives import ARCHIVE_SUFFIXES, in_archive, members
+from grasp_refine.grasps.formats.content import ARRAY_SUFFIXES, SUFFIXES, content_of, load_content, load_pickled_npz
 from grasp_refine.grasps.formats.folders import natural
 from grasp_refine.grasps.formats.format import Format
 from grasp_refine.grasps.formats.listing import FOREIGN, FORMATS, OURS
@@ -69,25 +70,27 @@ def reading(
     files, notes = _files(path, wanted)
     sets: list[GraspSet] = []
     found: Format | None = None
+    paths: list[Path] = []
     for number, file in enumerate(files):
-        content = _content(file)
-        known = wanted or _recognise(file, content)
-        mismatch = "it is an .npz file" if content is None and known != OURS else _mismatch(known, content)
-        if mismatch:
-            raise GraspFileError(f"{file}: is not a file of the format {known.name}: {mismatch}")
-        if found is not None and known != found:
-            raise GraspFileError(
-                f"{path}: holds files of several formats: {files[0]} is {found.name}, {file} is {known.name}; give one "
-                "of its folders, or files one by one"
-            )
-        found = known
-        grasps, more = _read(known, Source(file, content, within), hand)
-        sets.append(grasps)
-        notes += more
+        for place, content in _contents(file, wanted):
+            known = wanted or _recognise(place, content)
+            mismatch = "it is an .npz file" if content is None and known != OURS else _mismatch(known, content)
+            if mismatch:
+                raise GraspFileError(f"{place}: is not a file of the format {known.name}: {mismatch}")
+            if found is not None and known != found:
+                raise GraspFileError(
+                    f"{path}: holds files of several formats: {paths[0]} is {found.name}, {place} is {known.name}; "
+                    "give one of its folders, or files one by one"
+                )
+            found = known
+            grasps, more = _read(known, Source(place, content, within), hand)
+            sets.append(grasps)
+            paths.append(place)
+            notes += more
         if on_file is not None:
             on_file(number + 1, len(files))
     assert found is not None
-    joined, more = _join(files, sets)
+    joined, more = _join(paths, sets)
     if found != OURS:
         joined, empty = _without_empty_stages(joined)
         more += empty
@@ -106,7 +109,7 @@ def is_other(file: Path) -> bool:
     Raises:
         GraspFileError: it cannot be read.
     """
-    return not _is_of(_content(file), FORMATS)
+    return not any(_is_of(content, FORMATS) for _, content in _contents(file, None))
 
 
 def holds_grasps(file: Path) -> bool:
@@ -181,14 +184,14 @@ def _files(path: Path, wanted: Format | None) -> tuple[list[Path], list[str]]:
             files.append(file)
             continue
         try:
-            content = _content(file)
+            place, content = next(_contents(file, wanted))
         except GraspFileError as error:
             notes.append(f"left out: {error}")
             continue
         if _is_of(content, (wanted,) if wanted else FORMATS):
             files.append(file)
         elif not reason:
-            reason = f"; {_no_format(file, content)}"
+            reason = f"; {_no_format(place, content)}"
     if not files:
         why = notes[0].removeprefix("left out: ") if notes else ""
         reason = f"; {why}" if why else reason
@@ -196,6 +199,32 @@ def _files(path: Path, wanted: Format | None) -> tuple[list[Path], list[str]]:
             f"{path}: no grasp files in this folder or below it; they end with {', '.join(SUFFIXES)}{reason}"
         )
     return files, notes
+
+
+def _contents(file: Path, wanted: Format | None) -> Iterator[tuple[Path, Any]]:
+    """Path and contents of a file; of an archive, those of each file in it that is of a format, or must be."""
+    found = in_archive(file)
+    if found is None:
+        yield file, _content(file)
+        return
+    archive, below = found
+    none, other = True, None
+    for place, data in members(archive, below, tuple(suffix for suffix in SUFFIXES if suffix not in ARCHIVE_SUFFIXES)):
+        try:
+            content = content_of(data, place)
+        except GraspFileError:
+            if may_be_other(place):
+                continue
+            raise
+        if may_be_other(place) and not _is_of(content, (wanted,) if wanted else FORMATS):
+            other = other or (place, content)
+            continue
+        none = False
+        yield place, content
+    if none and other is None:
+        raise GraspFileError(f"{file}: has no files of grasps that can be read")
+    if none and other is not None:
+        yield other
 
 
 def _content(file: Path) -> Any:
