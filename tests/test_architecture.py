@@ -40,6 +40,7 @@ ORDER = (
     "grasp_refine.validation.replay",
     "grasp_refine.motion",
     "grasp_refine.results",
+    "grasp_refine.export",
     "grasp_refine.problem",
     "grasp_refine",
     "grasp_refine_apps.report",

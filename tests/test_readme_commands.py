@@ -43,6 +43,7 @@ OTHERS = {
     "PYTHONPATH=tests .venv/bin/python -m mutation": "tests/mutation/test_mutants.py runs it",
     ".venv/bin/mkdocs": ".ci/run builds the documentation",
     ".venv/bin/refine-grasp run": "likewise",
+    ".venv/bin/python allegro_mug_mujoco/simulate.py": "tests/export/test_export.py runs this script",
     "dask ": "tests/dask_cluster.py starts such a cluster",
     "parts=$(sbatch": "no scheduler is here; what it runs is read below",
 }
@@ -102,7 +103,7 @@ def newcomer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-RECIPES = ("my-hand", "my-object", "my-dataset", "validate", "scenes")
+RECIPES = ("my-hand", "my-object", "my-dataset", "validate", "scenes", "use-it-in")
 """Guides that begin with commands to be copied."""
 
 
@@ -136,6 +137,7 @@ def test_recipes_run(guide: str, newcomer: Path, capfd: pytest.CaptureFixture[st
         "my-dataset": ("refined/report.html", "grasp-refine-results/my_hand_my_object.npz"),
         "validate": ("grasp-refine-results/allegro_mug.npz", "replays"),
         "scenes": ("grasp-refine-results/allegro_mug.npz",),
+        "use-it-in": ("allegro_mug_mujoco/simulate.py", "allegro_mug_tables/contacts.csv"),
     }
     for name in made[guide]:
         assert (newcomer / name).exists(), name

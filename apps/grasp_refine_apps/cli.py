@@ -30,6 +30,7 @@ COMMANDS = {
     "validate": "test grasps of any file: geometry, and whether they hold in simulation",
     "view": "view grasps in a browser: watch their refinement, edit, validate, compare and export them",
     "convert": "convert grasp files of other programs to ours and back, checked by fingertip positions",
+    "export": "write grasps for the programs that use them: MuJoCo, tables, with a README",
     "hands": "list the hands that ship with the program, or check a URDF",
     "scenes": "list the scenes that ship with the program, or check one of your own",
     "assets list": "list the hands, objects and grasps of others that can be fetched by name",

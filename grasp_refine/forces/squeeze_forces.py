@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
+from grasp_refine.core.array_records import take
 from grasp_refine.core.array_types import Float, Int, Shaped
 from grasp_refine.core.plurals import count_text
 
@@ -73,6 +74,13 @@ class ContactForces:
         vectors = {name: getattr(self, name).T for name in ("point", "normal", "vector")}
         split = {f"{name}_{axis}": values[k] for name, values in vectors.items() for k, axis in enumerate("xyz")}
         return {"grasp": self.grasp, "link": self.link, **split}
+
+    def select(self, rows: Int[np.ndarray, " N"]) -> ContactForces:
+        """Return the forces of the grasps `rows`, numbered as these."""
+        at = [np.flatnonzero(self.grasp == row) for row in rows]
+        every = np.concatenate([np.zeros(0, dtype=np.int64), *at])
+        found = take(self, every)
+        return replace(found, grasp=np.repeat(np.arange(len(rows)), [len(one) for one in at]))
 
     def of_grasp(self, number: int) -> list[dict[str, Any]]:
         """Return the forces of one grasp for JSON."""

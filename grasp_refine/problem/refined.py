@@ -27,6 +27,7 @@ from grasp_refine.results.console import html_of, text_of
 from grasp_refine.results.document import settings
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.result_files import fingerprint, refined_set, result_paths, save_results
+from grasp_refine.results.result_numbers import number_entries
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.table import grasp_table
 from grasp_refine.results.validation_document import TABLE_SUFFIXES, check_table, save_table
@@ -167,6 +168,32 @@ class RefinedGrasps:
             path.mkdir(exist_ok=True)
         self.write(paths)
         return tuple(paths.values())
+
+    def export(self, to: str, folder: str | Path) -> tuple[Path, ...]:
+        """Write the refined grasps for another program into a new folder, of several objects into one for each.
+
+        Args:
+            to: Name of the program or format, of `export.targets.TARGETS`: "mjcf", "csv", "parquet".
+            folder: New folder.
+
+        Returns:
+            The folders, each with a README.
+
+        Raises:
+            GraspRefineError: there is no such target, the folder exists or cannot be written, or the program cannot
+                take these grasps.
+        """
+        from grasp_refine.export.targets import export
+        from grasp_refine.problem.exports import exported_grasps
+
+        outcome = self.outcome
+        forces = None if outcome.forces is None else outcome.forces.flat()
+        entries = outcome.entries()
+        values = {
+            name.replace("_after", ""): entries[entry] for name, entry in number_entries().items() if entry in entries
+        }
+        parts = exported_grasps(self.as_problem(), closing="file", forces=forces, values={**outcome.texts(), **values})
+        return export(parts, to, folder)
 
     def write(self, paths: Mapping[str, Path], provenance: Mapping[str, Mapping[str, Any]] | None = None) -> None:
         """Write the result file of each object.

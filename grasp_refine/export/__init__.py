@@ -1,0 +1,1 @@
+"""Export of grasps to the programs that use them: a folder each, which they take unedited."""

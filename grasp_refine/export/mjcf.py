@@ -1,0 +1,169 @@
+"""Target `mjcf`: hand and object in one MuJoCo scene, key frames of all grasps, and a script that simulates them.
+
+`scene.xml` is the model in which the program itself simulates the task. `schedule.npz` has the set points over time:
+
+    steps               ()          simulation steps after each row
+    close_ctrl          (N, K, u)   set points of the actuators from pregrasp to squeeze
+    close_pos, _quat    (N, K, 3), (N, K, 4)   where the holder of the palm goes, quaternions w x y z
+    lift_ctrl, _pos, _quat    likewise with the rows of the lift; none where the object is pushed
+    push                (D, 3)      forces on the object in newtons, each from the state after closing
+    push_steps, checks  ()          steps between two checks, and their number
+    farthest, steepest  ()          displacement (m) and rotation (rad) of the object from which on it is lost
+    up                  (3,)        direction of the lift
+    lift                ()          its height, m
+    required            ()          number of pushes in which a grasp must hold
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from grasp_refine.closing.motion import STAGES
+from grasp_refine.core.array_types import Float
+from grasp_refine.core.json_files import save_text
+from grasp_refine.core.npz_files import save_npz
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.export.exported import ExportedGrasps
+from grasp_refine.export.target import Readme
+from grasp_refine.hands.files.mujoco_messages import compiled, unlogged
+from grasp_refine.scene.protocols.protocol import AXES
+from grasp_refine.validation.engines.mujoco.arm_lift import ArmLift
+from grasp_refine.validation.engines.mujoco.world import OBJECT, World, build_world
+from grasp_refine.validation.replay.export import add_light, model_text
+from grasp_refine.validation.simulation import Course
+from grasp_refine.validation.validate import model_of
+
+VISUAL_GROUP, PIECES_GROUP = 2, 3
+"""Groups of geoms in MuJoCo's viewer, which shows 0 to 2 at first."""
+
+ENDS = {"pregrasp": (0, 0.0), "grasp": (0, 1.0), "squeeze": (1, 1.0)}
+"""Name of a stage -> its place on a `Course`: the stage before, and the share of the way to the next one."""
+
+
+@dataclass(frozen=True)
+class Mjcf:
+    """Scene for MuJoCo and MJX."""
+
+    name: str = "mjcf"
+    what: str = "a MuJoCo scene with key frames of all grasps, and a script that simulates them"
+    extra: str = ""
+
+    def write(self, grasps: ExportedGrasps, folder: Path) -> Readme:
+        """Write the scene, the schedule and the script."""
+        world = build_world(model_of(grasps.hand), grasps.object, grasps.scene.task.for_simulation)
+        course = Course.of(world, grasps.motion.T_world_root, grasps.motion.q, grasps.motion.finite)
+        save_text(folder / "scene.xml", _scene(world, grasps, course))
+        save_npz(folder / "schedule.npz", _schedule(world, course))
+        save_text(folder / "simulate.py", files(__package__).joinpath("mjcf_simulate.py").read_text(encoding="utf-8"))
+        offsets = world.protocol.noise.count
+        return Readme(
+            {
+                "scene.xml": f"hand, {grasps.name} and actuators; key frames pregrasp_K, grasp_K, squeeze_K of grasp K",
+                "schedule.npz": "set points over time, pushes and limits of the task",
+                "simulate.py": "simulates the task from these two files alone; needs mujoco and numpy",
+            },
+            use="python simulate.py",
+            notes=(
+                "The object's frame is the world's; names of the hand begin with hand/.",
+                "squeeze_K is the grasp with set points of the squeeze: from there the fingers press.",
+                *([f"Without the {offsets} offsets of the object that the protocol tries as well."] if offsets else ()),
+            ),
+        )
+
+
+def _scene(world: World, grasps: ExportedGrasps, course: Course) -> str:
+    spec = world.spec.copy()
+    spec.modelname = f"{grasps.hand.name} on {grasps.name}"
+    spec.compiler.saveinertial = True
+    add_light(spec)
+    mesh = grasps.object.mesh
+    spec.add_mesh(name="object_visual", uservert=np.ravel(mesh.vertices), userface=np.ravel(mesh.faces))
+    body = spec.body(OBJECT)
+    for geom in body.geoms:
+        geom.group = PIECES_GROUP
+    look = body.add_geom(name="object_visual", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="object_visual")
+    look.contype = look.conaffinity = 0
+    look.mass, look.group, look.rgba = 0.0, VISUAL_GROUP, [0.6, 0.7, 0.8, 1.0]
+    with unlogged():
+        model = compiled(spec)
+    for row in range(len(grasps)):
+        for name, (before, share) in ENDS.items():
+            # The hand cannot be where a squeeze sends it.
+            pose = min(STAGES.index(name), STAGES.index("grasp"))
+            qpos, root = model.qpos0.copy(), course.root(before, share)[row]
+            if world.root_at is not None:
+                qpos[world.root_at : world.root_at + 7] = root
+            qpos[world.joints_at] = course.joints[row, pose]
+            spec.add_key(
+                name=f"{name}_{row}",
+                qpos=qpos,
+                ctrl=course.set_points(before, share)[row],
+                mpos=root[:3],
+                mquat=root[3:],
+            )
+    return model_text(spec, model)
+
+
+def _schedule(world: World, course: Course) -> dict[str, np.ndarray]:
+    protocol = world.protocol
+    closing = [(stage, (move + 1) / protocol.moves) for stage in (0, 1) for move in range(protocol.moves)]
+    close = _rows(course.set_points, course.root, closing)
+    lift = {key: values[:, :0] for key, values in close.items()}
+    push = np.zeros((0, 3))
+    if protocol.tabletop:
+        lift = _lift(world, course)
+    else:
+        push = world.mass * protocol.acceleration * np.array([AXES[name] for name in protocol.directions])
+    numbers = {
+        "steps": protocol.steps_per_move,
+        "push_steps": protocol.steps_per_check,
+        "checks": protocol.checks,
+        "farthest": protocol.farthest,
+        "steepest": protocol.steepest,
+        "deepest": protocol.deepest,
+        "lift": protocol.lift if protocol.tabletop else 0.0,
+        "required": protocol.required(max(len(push), 1)),
+    }
+    named = {
+        f"{part}_{key}": values for part, rows in (("close", close), ("lift", lift)) for key, values in rows.items()
+    }
+    return {**named, "push": push, "up": world.up, **{name: np.asarray(value) for name, value in numbers.items()}}
+
+
+def _rows(
+    set_points: Callable[[int, float], np.ndarray],
+    root: Callable[[int, float], np.ndarray],
+    times: list[tuple[int, float]],
+) -> dict[str, Float[np.ndarray, "N K k"]]:
+    poses = np.stack([root(*time) for time in times], axis=1)
+    return {
+        "ctrl": np.stack([set_points(*time) for time in times], axis=1),
+        "pos": poses[..., :3],
+        "quat": poses[..., 3:],
+    }
+
+
+def _lift(world: World, course: Course) -> dict[str, Float[np.ndarray, "N K k"]]:
+    """Set points that raise the hand, as `Simulations.raise_to` does."""
+    protocol = world.protocol
+    parts = max(protocol.steps_per_check // protocol.steps_per_move, 1)
+    heights = protocol.lift * np.arange(1, protocol.checks * parts + 1) / (protocol.checks * parts)
+    ctrl, root = course.set_points(1, 1.0), course.root(1, 1.0)
+    if world.root_at is not None:
+        raised = root[:, None, :3] + heights[:, None] * world.up
+        still = (len(root), len(heights))
+        return {
+            "ctrl": np.broadcast_to(ctrl[:, None], (*still, ctrl.shape[1])),
+            "pos": raised,
+            "quat": np.broadcast_to(root[:, None, 3:], (*still, 4)),
+        }
+    arm, T = ArmLift.of(world), transform_from_pose(root)
+    by_arm = np.stack([arm.set_points(T, ctrl, height * world.up) for height in heights], axis=1)
+    held = np.repeat(root[:, None], len(heights), axis=1)
+    return {"ctrl": by_arm, "pos": held[..., :3], "quat": held[..., 3:]}
