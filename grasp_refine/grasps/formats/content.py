@@ -26,12 +26,20 @@ from grasp_refine.grasps.formats.pickled import (
     check_text,
     unpickle,
 )
-from grasp_refine.grasps.formats.texts import YAML_SUFFIXES, is_json, is_yaml, load_json, load_yaml
+from grasp_refine.grasps.formats.texts import (
+    TOML_SUFFIX,
+    YAML_SUFFIXES,
+    is_json,
+    is_yaml,
+    load_json,
+    load_toml,
+    load_yaml,
+)
 from grasp_refine.grasps.formats.torch_files import is_torch_file, load_torch
 
 ARRAY_SUFFIXES = (".npz", ".npy", ".pickle", ".pkl")
 """Endings of files that can hardly be anything but grasps in a folder of such."""
-OTHER_SUFFIXES = (".yaml", ".yml", ".json", ".pt", ".pth", ".h5", ".hdf5", *ARCHIVE_SUFFIXES)
+OTHER_SUFFIXES = (".yaml", ".yml", ".json", ".pt", ".pth", ".h5", ".hdf5", ".toml", *ARCHIVE_SUFFIXES)
 """Endings of files that may be grasps, or what lies beside them."""
 SUFFIXES = (*ARRAY_SUFFIXES, *OTHER_SUFFIXES)
 """Endings of grasp files."""
@@ -147,6 +155,8 @@ def _read(data: bytes, suffix: str) -> Any:
         return load_torch(data)
     if data.startswith(ZIP_STARTS):
         raise Refused("is a damaged zip archive, or one that torch.save did not write")
+    if suffix == TOML_SUFFIX:
+        return load_toml(data)
     if suffix not in YAML_SUFFIXES and is_json(data):
         return load_json(data)
     if suffix in YAML_SUFFIXES or is_yaml(data):

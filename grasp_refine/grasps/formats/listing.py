@@ -21,6 +21,7 @@ from grasp_refine.grasps.formats.lightning_grasp import LightningGrasp
 from grasp_refine.grasps.formats.multidex import MultiDex
 from grasp_refine.grasps.formats.multigripper import MultiGripperGrasp
 from grasp_refine.grasps.formats.ours import Ours
+from grasp_refine.grasps.formats.table import Table
 from grasp_refine.grasps.formats.unidexgrasp import UniDexGrasp
 
 OURS = Ours()
@@ -45,6 +46,7 @@ FORMATS: Registry[Format] = Registry(
         Acronym(),
         MultiGripperGrasp(),
         GraspM3(),
+        Table(),
     ),
     name_of=lambda known: known.name,
     check=check_format,

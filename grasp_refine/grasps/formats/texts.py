@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from typing import Any
 
 import yaml
@@ -14,6 +15,8 @@ MAX_TEXT_BYTES = 2**26
 """Largest size of a text in bytes; its values take up to twenty times as much."""
 YAML_SUFFIXES = (".yaml", ".yml")
 """Endings of YAML files."""
+TOML_SUFFIX = ".toml"
+"""Ending of TOML files."""
 YAML_START = re.compile(rb"(?:\xef\xbb\xbf)?(?:\s|#[^\n]*\n|%YAML[^\n]*\n|---\s)*[A-Za-z_][\w -]*:\s")
 """Start of a YAML file with a mapping: a key, behind comments."""
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -42,6 +45,22 @@ def load_json(data: bytes) -> Any:
         raise Refused(f"holds lists or dicts nested more than {MAX_DEPTH} deep") from None
     except ValueError as error:
         raise Refused(f"is no valid JSON ({' '.join(str(error).split())[:80]})") from None
+    _check_depth(value)
+    return value
+
+
+def load_toml(data: bytes) -> Any:
+    """Return the values of a TOML file.
+
+    Raises:
+        Refused: it is damaged, too large or too deep.
+    """
+    try:
+        value = tomllib.loads(_decoded(data, "TOML"))
+    except RecursionError:
+        raise Refused(f"holds lists or dicts nested more than {MAX_DEPTH} deep") from None
+    except ValueError as error:
+        raise Refused(f"is no valid TOML ({' '.join(str(error).split())[:80]})") from None
     _check_depth(value)
     return value
 
