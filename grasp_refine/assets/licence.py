@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Protocol
 
 from grasp_refine.assets.cache import path_inside
-from grasp_refine.assets.manifest import Asset
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import AssetError
 from grasp_refine.geometry.cache import default_cache
@@ -16,7 +16,36 @@ RECORD = "accepted.json"
 """Record beside the files of an asset: the accepted wording of its licence, and the time."""
 
 
-def is_accepted(asset: Asset) -> bool:
+class Licensed(Protocol):
+    """Something with a licence: an asset, or a data set of the Hub."""
+
+    @property
+    def kind(self) -> str:
+        """Folder of its record."""
+        ...
+
+    @property
+    def name(self) -> str:
+        """Name in that folder."""
+        ...
+
+    @property
+    def full_name(self) -> str:
+        """Name on the command line."""
+        ...
+
+    @property
+    def licence(self) -> str:
+        """Wording of its licence."""
+        ...
+
+    @property
+    def terms(self) -> str:
+        """Terms of the licence: open, non-commercial or unclear."""
+        ...
+
+
+def is_accepted(asset: Licensed) -> bool:
     """Return whether an asset may be fetched: its licence is open, or was accepted in its present wording."""
     if asset.terms == "open":
         return True
@@ -27,7 +56,7 @@ def is_accepted(asset: Asset) -> bool:
     return isinstance(record, dict) and record.get("licence") == asset.licence
 
 
-def accept(asset: Asset) -> None:
+def accept(asset: Licensed) -> None:
     """Record that the licence of an asset was accepted.
 
     Raises:
@@ -41,7 +70,7 @@ def accept(asset: Asset) -> None:
         partial.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
-def check_accepted(asset: Asset) -> None:
+def check_accepted(asset: Licensed) -> None:
     """Refuse an asset whose licence is not accepted.
 
     Raises:
@@ -55,5 +84,5 @@ def check_accepted(asset: Asset) -> None:
         )
 
 
-def _folder(asset: Asset) -> Path:
+def _folder(asset: Licensed) -> Path:
     return default_cache("assets") / asset.kind / asset.name

@@ -152,8 +152,8 @@ class ProblemSpec(SourceSpec):
     """Hand, object and grasps to refine."""
 
     grasps: Path | None = None
-    """Grasp file, or a folder of them: ours (.npz), or of another program (see `format`); or sample:N, as in sample:32,
-    for N new grasps of `hand` on `object`, which `seed` varies."""
+    """Grasp file, or a folder of them: ours (.npz), or of another program (see `format`); hf://OWNER/NAME[/PATH] of
+    the Hugging Face Hub; or sample:N, as in sample:32, for N new grasps of `hand` on `object`, which `seed` varies."""
     targets: str = AUTO
     """Target points of links: a grasp file with targets; auto: the targets of `grasps`, else anywhere; or nearest: the
     points where they are nearest to the object at first."""

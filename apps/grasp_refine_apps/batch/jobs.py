@@ -13,6 +13,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from grasp_refine.assets.hub import is_on_hub
 from grasp_refine.core.errors import GraspRefineError, quote_value, visible
 from grasp_refine.core.names import exists, expand_user, is_folder, is_valid
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
@@ -20,6 +21,7 @@ from grasp_refine.grasps.formats.content import SUFFIXES
 from grasp_refine.grasps.formats.folders import disambiguate, natural
 from grasp_refine.grasps.formats.reading import is_other, may_be_other
 from grasp_refine.objects.region_spec import VERBS, resolve_spec
+from grasp_refine.problem.named_inputs import on_disk
 from grasp_refine.problem.spec import NAMES_OR_PATHS, SAMPLE, ProblemSpec
 
 LISTS = (".toml", ".csv")
@@ -79,6 +81,8 @@ def _jobs(source: str, inputs: ProblemSpec, name: str, together: bool) -> Iterat
     if source.startswith(SAMPLE):
         yield Job(name or source.replace(":", "_"), _with_absolute_paths(replace(inputs, grasps=Path(source))))
         return
+    if is_on_hub(Path(source)):
+        name, source = name or Path(source).name, str(on_disk(Path(source), lambda line: None))
     path = expand_user(Path(source))
     if not glob.has_magic(source) or exists(path):
         # A missing file is reported with its job, so that the other jobs can run.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 from rich.console import Console
@@ -13,13 +14,15 @@ from tyro.conf import Positional, arg
 
 from grasp_refine.assets.cache import asset_folder, is_whole, main_path
 from grasp_refine.assets.fetching import fetch_asset
-from grasp_refine.assets.licence import check_accepted
+from grasp_refine.assets.hub import HubDataset, fetch_dataset, hub_dataset, is_on_hub
+from grasp_refine.assets.licence import Licensed, check_accepted
 from grasp_refine.assets.manifest import Asset
 from grasp_refine.assets.names import choose_asset
 from grasp_refine.assets.origin import Origin, Upstream, chosen_origin, wanted
 from grasp_refine.core.errors import AssetError
 from grasp_refine.core.json_files import check_writable
 from grasp_refine.core.plurals import count_text
+from grasp_refine.grasps.formats.content import SUFFIXES, TABLE_SUFFIXES
 from grasp_refine_apps.commands.options import OptionalFile, Overwrite
 from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
@@ -30,7 +33,8 @@ class AssetsFetch:
     """Fetch hands, objects or grasp sets of others, each file checked, and show their licences and what to cite."""
 
     names: Annotated[Positional[tuple[str, ...]], arg(metavar="NAME [NAME ...]", help_behavior_hint="(required)")] = ()
-    """Names from `refine-grasp assets list`; the part after a _ is enough where it is unique."""
+    """Names from `refine-grasp assets list`; the part after a _ is enough where it is unique. Or
+    hf://OWNER/NAME[/PATH], grasps of the Hugging Face Hub (extra hub)."""
     accept_license: bool = False
     """Confirm that you have read the licence and may use the assets; required unless the licence is open."""
     json: OptionalFile = None
@@ -46,14 +50,28 @@ class AssetsFetch:
         check_writable(self.json, overwrite=self.overwrite)
         if not self.names:
             raise AssetError("assets fetch needs a NAME; `refine-grasp assets list` shows them")
-        assets = list(dict.fromkeys(choose_asset(name) for name in self.names))
+        on_hub = [hub_dataset(Path(name), lambda line: None) for name in self.names if is_on_hub(Path(name))]
+        assets = list(dict.fromkeys(choose_asset(name) for name in self.names if not is_on_hub(Path(name))))
         origin, console = chosen_origin(), screen()
         if not self.accept_license:
-            for asset in assets:
-                check_accepted(asset)
+            licensed: list[Licensed] = [*assets, *on_hub]
+            for one in licensed:
+                check_accepted(one)
         facts = [_fetch(asset, origin, self.accept_license, console) for asset in assets]
+        facts += [_fetch_from_hub(dataset, self.accept_license, console) for dataset in on_hub]
         save_document(self.json, "assets fetch", {"assets": facts})
         return 0
+
+
+def _fetch_from_hub(dataset: HubDataset, accepted: bool, console: Console) -> dict[str, Any]:
+    """Fetch the grasp files of a data set of the Hub, and print its licence and path; return the facts for JSON."""
+    console.print(f"[bold]{escape(dataset.full_name)}[/]")
+    console.print(f"  licence: {dataset.licence} ({dataset.terms})", markup=False, soft_wrap=True)
+    path = fetch_dataset(dataset, (*SUFFIXES, *TABLE_SUFFIXES), lambda line: None, accept_license=accepted)
+    console.print(f"  here:    {path}", markup=False, soft_wrap=True)
+    return {"kind": dataset.kind, "name": dataset.name, "path": path, "licence": dataset.licence} | {
+        "terms": dataset.terms
+    }
 
 
 def _fetch(asset: Asset, origin: Origin, accepted: bool, console: Console) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from grasp_refine.grasps.rows import best_rows, rows_where
 from grasp_refine.hands.files.source import check_known, is_known
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.measures.measures import QUALITY
+from grasp_refine.problem.named_inputs import on_disk
 from grasp_refine.results.result_numbers import result_values
 from grasp_refine.scene.convention_check import joint_notes, position_notes, refuse_conventions
 from grasp_refine_apps.commands.format_names import FormatName
@@ -98,7 +99,7 @@ class Convert:
         with Progress(console=messages, transient=True, disable=not messages.is_terminal) as bar:
             task = bar.add_task("reading", total=None)
             read = reading(
-                self.source,
+                on_disk(self.source, messages.print),
                 format=self.format,
                 hand=hand,
                 on_file=lambda done, total: bar.update(task, completed=done, total=total),

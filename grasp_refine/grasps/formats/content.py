@@ -43,6 +43,8 @@ OTHER_SUFFIXES = (".yaml", ".yml", ".json", ".pt", ".pth", ".h5", ".hdf5", ".tom
 """Endings of files that may be grasps, or what lies beside them."""
 SUFFIXES = (*ARRAY_SUFFIXES, *OTHER_SUFFIXES)
 """Endings of grasp files."""
+TABLE_SUFFIXES = (".csv", ".parquet")
+"""Endings of tables, which another file describes."""
 
 CONTROLS = frozenset(map(chr, range(32))) - set("\t\n\r\f")
 """Characters that no text has."""

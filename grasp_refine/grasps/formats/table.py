@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -218,8 +219,8 @@ class _Mapping:
     def _table(self) -> Path:
         """Path of the table, in the folder of the TOML file or below it."""
         name = self.text("table", "")
-        path = self.source.path.parent / name
-        within = (self.source.within or self.source.path.parent).resolve()
-        if not path.resolve().is_relative_to(within):
+        # Links are followed: caches of downloads have nothing else.
+        path = Path(os.path.normpath(self.source.path.absolute().parent / name))
+        if not path.is_relative_to((self.source.within or self.source.path.parent).absolute()):
             raise self.source.error(f"table must lie in the folder of this file or below it, got {name!r}")
         return path
