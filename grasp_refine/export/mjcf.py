@@ -10,7 +10,7 @@
     push_steps, checks  ()          steps between two checks, and their number
     farthest, steepest  ()          displacement (m) and rotation (rad) of the object from which on it is lost
     up                  (3,)        direction of the lift
-    lift                ()          its height, m
+    lift_height         ()          its height, m
     required            ()          number of pushes in which a grasp must hold
 """
 
@@ -30,9 +30,9 @@ from grasp_refine.core.json_files import save_text
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.export.exported import ExportedGrasps
+from grasp_refine.export.schedule import closing_rows, lift_heights, limits_of
 from grasp_refine.export.target import Readme
 from grasp_refine.hands.files.mujoco_messages import compiled, unlogged
-from grasp_refine.scene.protocols.protocol import AXES
 from grasp_refine.validation.engines.mujoco.arm_lift import ArmLift
 from grasp_refine.validation.engines.mujoco.world import OBJECT, World, build_world
 from grasp_refine.validation.replay.export import add_light, model_text
@@ -111,29 +111,10 @@ def _scene(world: World, grasps: ExportedGrasps, course: Course) -> str:
 
 
 def _schedule(world: World, course: Course) -> dict[str, np.ndarray]:
-    protocol = world.protocol
-    closing = [(stage, (move + 1) / protocol.moves) for stage in (0, 1) for move in range(protocol.moves)]
-    close = _rows(course.set_points, course.root, closing)
-    lift = {key: values[:, :0] for key, values in close.items()}
-    push = np.zeros((0, 3))
-    if protocol.tabletop:
-        lift = _lift(world, course)
-    else:
-        push = world.mass * protocol.acceleration * np.array([AXES[name] for name in protocol.directions])
-    numbers = {
-        "steps": protocol.steps_per_move,
-        "push_steps": protocol.steps_per_check,
-        "checks": protocol.checks,
-        "farthest": protocol.farthest,
-        "steepest": protocol.steepest,
-        "deepest": protocol.deepest,
-        "lift": protocol.lift if protocol.tabletop else 0.0,
-        "required": protocol.required(max(len(push), 1)),
-    }
-    named = {
-        f"{part}_{key}": values for part, rows in (("close", close), ("lift", lift)) for key, values in rows.items()
-    }
-    return {**named, "push": push, "up": world.up, **{name: np.asarray(value) for name, value in numbers.items()}}
+    close = _rows(course.set_points, course.root, closing_rows(world.protocol))
+    lift = _lift(world, course)
+    named = {f"close_{key}": values for key, values in close.items()}
+    return {**named, **{f"lift_{key}": values for key, values in lift.items()}, **limits_of(world)}
 
 
 def _rows(
@@ -151,9 +132,7 @@ def _rows(
 
 def _lift(world: World, course: Course) -> dict[str, Float[np.ndarray, "N K k"]]:
     """Set points that raise the hand, as `Simulations.raise_to` does."""
-    protocol = world.protocol
-    parts = max(protocol.steps_per_check // protocol.steps_per_move, 1)
-    heights = protocol.lift * np.arange(1, protocol.checks * parts + 1) / (protocol.checks * parts)
+    heights = lift_heights(world.protocol)
     ctrl, root = course.set_points(1, 1.0), course.root(1, 1.0)
     if world.root_at is not None:
         raised = root[:, None, :3] + heights[:, None] * world.up
@@ -164,6 +143,7 @@ def _lift(world: World, course: Course) -> dict[str, Float[np.ndarray, "N K k"]]
             "quat": np.broadcast_to(root[:, None, 3:], (*still, 4)),
         }
     arm, T = ArmLift.of(world), transform_from_pose(root)
-    by_arm = np.stack([arm.set_points(T, ctrl, height * world.up) for height in heights], axis=1)
+    raised = [arm.set_points(T, ctrl, height * world.up)[:, None] for height in heights]
+    by_arm = np.concatenate([ctrl[:, None, :][:, :0], *raised], axis=1)
     held = np.repeat(root[:, None], len(heights), axis=1)
     return {"ctrl": by_arm, "pos": held[..., :3], "quat": held[..., 3:]}

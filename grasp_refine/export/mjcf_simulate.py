@@ -58,7 +58,7 @@ def lifts(model: mujoco.MjModel, data: mujoco.MjData, schedule: Schedule, grasp:
     for row in range(rows):
         follow(model, data, schedule, "lift", grasp, int(schedule["push_steps"]) // parts, slice(row, row + 1))
         wanted = start.copy()
-        wanted[:3] += float(schedule["lift"]) * (row + 1) / rows * schedule["up"]
+        wanted[:3] += float(schedule["lift_height"]) * (row + 1) / rows * schedule["up"]
         if (row + 1) % parts == 0 and is_lost(data, wanted, schedule):
             return False
     return True

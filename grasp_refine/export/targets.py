@@ -17,6 +17,7 @@ from grasp_refine.grasps.formats.folders import disambiguate, object_folder, sca
 
 _HOMES = {
     "mjcf": ("mjcf", "Mjcf"),
+    "sapien": ("sapien", "Sapien"),
     "csv": ("table", "Table"),
     "parquet": ("table", "Table"),
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import subprocess
 import sys
+import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 
@@ -137,3 +138,46 @@ def test_what_cannot_be_exported_leaves_nothing(gripper: gr.Hand, tmp_path: Path
 def test_poses_of_the_palm_are_of_the_base_link_without_an_arm(gripper: gr.Hand):
     (part,) = exported_grasps(problem_of(gripper, "dexgraspbench"))
     np.testing.assert_array_equal(part.palm_poses, pose_from_transform(part.motion.T_world_root))
+
+
+def test_the_urdf_of_a_hand_has_its_kinematics_pieces_masses_and_drives(gripper: gr.Hand, tmp_path: Path):
+    """As MuJoCo reads the written file, which did not write it."""
+    (part,) = exported_grasps(problem_of(gripper, "dexgraspbench"))
+    export([part], "sapien", tmp_path / "folder")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "folder" / "hand.urdf"))
+    data = mujoco.MjData(model)
+    task = dict(np.load(tmp_path / "folder" / "task.npz"))
+    names = [str(name) for name in task["joints"]]
+    assert names[6:] == ["l", "r"]
+    np.testing.assert_array_equal(task["force_limit"][6:], 40.0)
+    assert (task["stiffness"] > 0).all() and (task["damping"] > 0).all()
+    links = [link.name for link in gripper.links]
+    chain = Chain(gripper, links)
+    # The first row is the pregrasp, the 10th behind it the grasp.
+    for at, targets in ((0, task["close"][:, 0]), (1, task["close"][:, 10])):
+        T = chain(part.motion.T_world_root[:, at], part.motion.q[:, at]).T_world_link
+        for row in range(len(part)):
+            start = np.eye(4)
+            start[:3, 3] = task["start"][row, :3]
+            start[:3, :3] = gr.transform_from_pose(task["start"][row])[:3, :3]
+            for name, value in zip(names, targets[row], strict=True):
+                data.qpos[model.joint(name).qposadr[0]] = value
+            mujoco.mj_kinematics(model, data)
+            for link, T_link in zip(links, T[row], strict=True):
+                found = (start @ np.append(data.body(link).xpos, 1.0))[:3]
+                np.testing.assert_allclose(found, T_link[:3, 3], atol=1e-9)
+    thing = tmp_path / "folder" / "object.urdf"
+    assert float(ET.parse(thing).find("link/inertial/mass").get("value")) == pytest.approx(0.1, rel=1e-9)
+    points = mujoco.MjModel.from_xml_path(str(thing)).mesh_vert.astype(float)
+    np.testing.assert_allclose(np.sort(np.ptp(points, axis=0)), [0.05, 0.06, 0.07], rtol=1e-5)
+
+
+def test_sapien_simulates_the_folder_alone(gripper: gr.Hand, tmp_path: Path):
+    pytest.importorskip("sapien", reason="SAPIEN is not installed: pip install 'grasp-refine[physx]'")
+    problem = problem_of(gripper, "dexgraspbench")
+    export(exported_grasps(problem, closing="own"), "sapien", tmp_path / "folder")
+    verdict = gr.evaluate(problem, engines=["physx"]).validated.success
+    script = [sys.executable, "-I", "-W", "ignore", str(tmp_path / "folder" / "simulate.py")]
+    said = subprocess.run(script, cwd="/", capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    words = [f"grasp {k}: {'held' if success else 'lost'}" for k, success in enumerate(verdict)]
+    assert said.stdout.splitlines()[: len(words)] == words, said.stderr

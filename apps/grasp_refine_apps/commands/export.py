@@ -18,7 +18,7 @@ from grasp_refine_apps.commands.inputs import Sources
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 
-TargetName = Literal["mjcf", "csv", "parquet"]
+TargetName = Literal["mjcf", "sapien", "csv", "parquet"]
 """Names of the targets, as in `export.targets`."""
 
 
@@ -26,7 +26,8 @@ TargetName = Literal["mjcf", "csv", "parquet"]
 class Export:
     """Write grasps for the programs that use them: a new folder that they take unedited, with a README.
 
-    mjcf: a MuJoCo scene with key frames, and a script that simulates the grasps. csv, parquet: tables of grasps, joints
+    mjcf: a MuJoCo scene with key frames, and a script that simulates the grasps. sapien: URDFs of hand and object in
+    convex pieces, with such a script for SAPIEN and ManiSkill. csv, parquet: tables of grasps, joints
     by name, and of contacts with their forces. Takes any grasp file; pregrasps and squeezes that it lacks are made.
     """
 
