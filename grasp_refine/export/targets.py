@@ -18,6 +18,7 @@ from grasp_refine.grasps.formats.folders import disambiguate, object_folder, sca
 _HOMES = {
     "mjcf": ("mjcf", "Mjcf"),
     "sapien": ("sapien", "Sapien"),
+    "usd": ("usd", "Usd"),
     "csv": ("table", "Table"),
     "parquet": ("table", "Table"),
 }

@@ -18,7 +18,7 @@ from grasp_refine_apps.commands.inputs import Sources
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 
-TargetName = Literal["mjcf", "sapien", "csv", "parquet"]
+TargetName = Literal["mjcf", "sapien", "usd", "csv", "parquet"]
 """Names of the targets, as in `export.targets`."""
 
 
@@ -27,8 +27,9 @@ class Export:
     """Write grasps for the programs that use them: a new folder that they take unedited, with a README.
 
     mjcf: a MuJoCo scene with key frames, and a script that simulates the grasps. sapien: URDFs of hand and object in
-    convex pieces, with such a script for SAPIEN and ManiSkill. csv, parquet: tables of grasps, joints
-    by name, and of contacts with their forces. Takes any grasp file; pregrasps and squeezes that it lacks are made.
+    convex pieces, with such a script, for SAPIEN and ManiSkill. usd: a stage with hand, drives, object and grasps, for
+    Isaac Sim, Isaac Lab and Newton. csv, parquet: tables of grasps, joints by name, and of contacts with their forces.
+    Takes any grasp file; pregrasps and squeezes that it lacks are made.
     """
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
