@@ -137,6 +137,7 @@ if TYPE_CHECKING:
     from grasp_refine.problem.facade import problem_of as problem_of
     from grasp_refine.problem.facade import refine as refine
     from grasp_refine.problem.facade import simulate as simulate
+    from grasp_refine.problem.facade import transfer as transfer
     from grasp_refine.problem.facade import view as view
     from grasp_refine.problem.load import load_problem as load_problem
     from grasp_refine.problem.margins import GraspMargins as GraspMargins
@@ -249,6 +250,7 @@ _HOMES = {
         "problem_of",
         "refine",
         "simulate",
+        "transfer",
         "view",
     ),
     "problem.load": ("load_problem",),

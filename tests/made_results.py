@@ -128,6 +128,8 @@ def plain_outcome(
         q_before=q,
         status=np.full(count, Status.CONVERGED),
         change=np.full(count, Change.KEPT.value),
+        fidelity=np.full(count, ""),
+        fingers=np.full(count, ""),
         measures=values,
         contact_gap=np.zeros((count, links)),
         target_point_link=nowhere,

@@ -30,6 +30,7 @@ ORDER = (
     "grasp_refine.refinement.solvers",
     "grasp_refine.refinement.terms",
     "grasp_refine.refinement",
+    "grasp_refine.transfers",
     "grasp_refine.closing",
     "grasp_refine.validation.engines",
     "grasp_refine.validation.engines.mujoco",

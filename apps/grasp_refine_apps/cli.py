@@ -26,6 +26,7 @@ PROGRAM = "refine-grasp"
 
 COMMANDS = {
     "run": "refine grasps of a hand on an object; without options, an embedded example",
+    "transfer": "transfer grasps of one hand to another: the same fingers touch the same places",
     "batch": "refine whole datasets of grasps, in processes or on a cluster; resumes where it stopped",
     "validate": "test grasps of any file: geometry, and whether they hold in simulation",
     "view": "view grasps in a browser: watch their refinement, edit, validate, compare and export them",

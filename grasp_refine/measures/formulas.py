@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,7 +14,9 @@ from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.inverse_kinematics import ArmKinematics
+from grasp_refine.hands.palm import palm_poses
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
+from grasp_refine.measures.fidelity import Fidelity
 from grasp_refine.measures.geometry import Geometry, Movement, mean_over_links, worst_over_links
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
@@ -22,6 +25,7 @@ from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
 from grasp_refine.scene.demand import Demand
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import moving_links
+from grasp_refine.scene.original import Original
 from grasp_refine.scene.surroundings import SceneDepths, scene_depths
 from grasp_refine.scene.task import Task
 
@@ -48,6 +52,8 @@ class MeasuredGrasps:
     """Distances, witness points and poses of the links."""
     task: Task = Task()
     """What the grasps must do, and where; its regions are made for the object."""
+    original: Original | None = None
+    """Contacts of the grasps that these were transferred from; None: they were not."""
 
     @property
     def environment(self) -> Environment | None:
@@ -100,6 +106,14 @@ class MeasuredGrasps:
             return None
         bodies = tuple(self.hand.links_by_name[name].solid for name in self.links)
         return scene_depths(self.environment, bodies, self.geometry.T_world_link, moving_links(self.hand, self.links))
+
+    @cached_property
+    def fidelity(self) -> Fidelity | None:
+        """Fidelity to the grasps that these were transferred from; None: they were not."""
+        if self.original is None:
+            return None
+        palm = palm_poses(self.hand, self.T_world_root, self.q)
+        return Fidelity.of(self.hand, self.links, self.original, self.geometry, palm)
 
     @cached_property
     def contact_misses(self) -> PatchMisses | None:
@@ -234,3 +248,12 @@ def contact_distance(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
 def contact_number(grasps: MeasuredGrasps) -> Int[np.ndarray, " N"]:
     """Return the number of links (N,) within `CONTACT_DISTANCE_M` of the object."""
     return (grasps.geometry.distance <= CONTACT_DISTANCE_M).sum(axis=1)
+
+
+def of_fidelity(name: str) -> Callable[[MeasuredGrasps], Float[np.ndarray, " N"]]:
+    """Return the formula of a property of `Fidelity`; NaN for grasps that were not transferred."""
+
+    def formula(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+        return np.full(len(grasps), np.nan) if grasps.fidelity is None else getattr(grasps.fidelity, name)
+
+    return formula

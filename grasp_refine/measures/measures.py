@@ -24,6 +24,7 @@ from grasp_refine.measures.formulas import (
     contact_error_mean,
     contact_number,
     largest_mass,
+    of_fidelity,
     quality_value,
     region_miss,
     scene_penetration,
@@ -218,6 +219,9 @@ MOVEMENTS = (
 )
 """Measures of the change of a grasp by its refinement."""
 
+_OF_TRANSFERS: dict[str, Any] = {"compared": False, "validated": False}
+"""Measures of transferred grasps against their originals."""
+
 _OURS = (
     _refinement("starts", "starts", "number of starts of the refinement", COUNT, lambda of: of.starts),
     _refinement("iterations", "iterations", "of all starts together", COUNT, lambda of: of.iterations, "lower"),
@@ -285,6 +289,40 @@ _OURS = (
         unit=METRE,
         formula=region_miss,
     ),
+    *(
+        Measure(name, title, hint, unit, of_fidelity(name.removesuffix(unit.suffix)), better, **_OF_TRANSFERS)
+        for name, title, hint, unit, better in (
+            (
+                "original_shift_m",
+                "contacts from the original's",
+                "median distance on the object between the contacts of a transferred grasp and those of its original",
+                METRE,
+                "lower",
+            ),
+            ("original_shift_most_m", "farthest from the original's", "the largest of these distances", METRE, "lower"),
+            (
+                "original_pinch_shift_m",
+                "thumb and opposing finger off",
+                "the larger of these distances of the thumb and of the finger that presses against it",
+                METRE,
+                "lower",
+            ),
+            (
+                "original_kept",
+                "contacts of the original kept",
+                "share of the fingers that touch in the original whose place a finger takes that touches",
+                SHARE,
+                "higher",
+            ),
+            (
+                "original_turn_rad",
+                "approach turned",
+                "angle between the approach directions of a transferred grasp and of its original",
+                RADIAN,
+                "lower",
+            ),
+        )
+    ),
     Measure(
         name="contact_distance_m",
         title="contact distance",
@@ -338,7 +376,7 @@ RESERVED = frozenset(
         "certificate",
         *("pregrasp_pose", "pregrasp_q", "squeeze_pose", "squeeze_q", "forces"),
         *("target_link", "target_point_link", "target_point_object", "contact_links", "contact_gaps", "contact_link"),
-        *("contact_point_link", "contact_point_object", "contact_normal", "contact_distance"),
+        *("fidelity", "fingers", "contact_point_link", "contact_point_object", "contact_normal", "contact_distance"),
         *(f"forces_{name}" for name in ("grasp", "link", "point", "normal", "vector")),
         *("simulation", "simulation_label", "simulation_reason", "simulation_direction"),
         *("simulation_displacement_m", "simulation_angle_rad", "held", "reason", "success", "good"),

@@ -80,7 +80,7 @@ def group_on_arm(group: Group, hand: Hand, *, seed: int = 0) -> tuple[Group, tup
     notes = (*notes, *_sunk_notes(hand, T_object_base, scene))
     columns = [grasps.joint_names.index(name) for name in hand.joint_names]
     moved = scene_of(hand, scene.object, grasps, grasps.q[:, columns], scene.task)
-    return replace(group, scene=moved, grasps=grasps), notes
+    return replace(group, scene=replace(moved, original=scene.original), grasps=grasps), notes
 
 
 def _sunk_notes(hand: Hand, T_object_base: Float[np.ndarray, "4 4"], scene: Scene) -> tuple[str, ...]:

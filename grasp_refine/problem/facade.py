@@ -25,6 +25,7 @@ from grasp_refine.problem.margins import GraspMargins, problem_margins
 from grasp_refine.problem.problem import Group, Problem, scene_of
 from grasp_refine.problem.refine import Listener, refine_problem, simulate_refined
 from grasp_refine.problem.refined import RefinedGrasps
+from grasp_refine.problem.transferred import transferred
 from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.terms.term import Term
@@ -147,6 +148,46 @@ def refine(
         config = replace(config, terms=(*config.terms, *terms))
     problem = _problem(hand, object, grasps, task, as_is=as_is)
     return refine_problem(problem, config, listener=listener)
+
+
+def transfer(
+    hand: Hand | Problem,
+    object: Object | Mesh | None = None,
+    grasps: GraspSet | None = None,
+    *,
+    to: Hand,
+    config: Config | None = None,
+    task: Task | str | Path | None = None,
+    as_is: bool = False,
+    listener: Listener | None = None,
+) -> RefinedGrasps:
+    """Transfer grasps of one hand to another, and refine them.
+
+        refined = gr.transfer(shadow, mug, grasps, to=allegro)
+        refined.outcome.fidelity                    # (N,), such as "same grasp" or "fingers dropped"
+        refined.outcome["original_pinch_shift_m"]   # (N,), thumb and opposing finger from the original's contacts
+
+    The thumb takes the place of the thumb, and the other fingers keep their order from its side on, by the geometry of
+    both hands. Fingers touch the object where the fingers in whose places they are do, and the palm comes from the same
+    side; then the grasps are refined as of `refine`.
+
+    Args:
+        hand: The hand of the grasps; or a problem of `load_problem`, which has object and grasps.
+        object: The object, or its mesh as for `load_object`, in metres.
+        grasps: N grasps on it.
+        to: The other hand.
+        config: Settings of the refinement; the defaults when None.
+        task: What the grasps must do, and where, as of `load_task`.
+        as_is: Whether to take grasps that are most likely in other units, quaternions or frames, as of `problem_of`.
+        listener: Callbacks of the progress.
+
+    Raises:
+        GraspRefineError: an argument of another type, a hand on an arm, or one that cannot grip.
+    """
+    check_kind("to", to, Hand)
+    check_kind("config", config, Config | None)
+    problem = _problem(hand, object, grasps, task, as_is=as_is)
+    return refine_problem(transferred(problem, to), config, listener=listener)
 
 
 def simulate(

@@ -28,6 +28,7 @@ from grasp_refine.problem.problem import Group, Problem, scene_of
 from grasp_refine.problem.recorded_objects import Recorded
 from grasp_refine.problem.sampled import check_sampled, with_samples
 from grasp_refine.problem.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
+from grasp_refine.problem.transferred import to_transfer, with_transfers
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene_file import load_scene
 from grasp_refine.scene.task_spec import NO_SCENE
@@ -126,6 +127,8 @@ class Loader:
             groups[at] = groups[at].on(groups[at].scene.object.as_hull())
         problem = replace(problem, groups=tuple(groups))
         prepare((group.scene.object for group in groups), progress=self.on_message)
+        if any(group.source is not None for group in problem.groups):
+            problem = with_transfers(problem)
         if problem.sampled:
             seed = (self.seed, draw) if draw else self.seed
             reaches = reach_of(problem, self.seed)
@@ -158,6 +161,8 @@ class Loader:
         chosen = {name: choose_rows(grasps.object, object_name=name, index=spec.index or None) for name in names}
         sources = {name: self._source(name, path) for name in names}
         grasps = replace(grasps, targets=self._targets(grasps, path))
+        if spec.transfer_from is not None:
+            return self._to_transfer(read, path)
         hand, whole, grasps, resting = self.hands.of_grasps(grasps, path)
         q, notes = match_joints(grasps, hand)
         notes = (
@@ -182,6 +187,22 @@ class Loader:
                 groups.append(Group(name, spec.metres(scale), scene, some, rows[at], index[at], place[at]))
         notes += recorded.check_objects(groups, other=spec.other_object)
         problem = Problem(whole, self._files(path, read), tuple(groups), tuple(dict.fromkeys(notes)))
+        check_base(problem)
+        return problem
+
+    def _to_transfer(self, read: Reading, path: Path) -> Problem:
+        """Return the problem of grasps of another hand that `prepare` transfers to the hand.
+
+        Raises:
+            GraspRefineError: one of the hands cannot be used.
+        """
+        spec = self.spec
+        assert spec.hand is not None  # or `check` refuses
+        source = replace(self, spec=spec.of_source()).of_grasps(read, path)
+        hand = self.hands.simulated(self.hands.load(spec.hand, None if spec.stands else spec.base_link))
+        check_collides(hand)
+        groups = tuple(to_transfer(group, hand) for group in source.groups)
+        problem = Problem(self.hands.on_arm(spec.hand, hand), source.files, groups, (*source.notes, *hand.notes))
         check_base(problem)
         return problem
 
@@ -219,7 +240,7 @@ class Loader:
             return replace(read, grasps=replace(read.grasps, targets=self._targets(read.grasps, path)))
 
         spec = self.spec
-        return self.cache.get("file", (path, spec.format, spec.hand, spec.urdf, spec.targets), with_targets)
+        return self.cache.get("file", (path, spec.format, spec.grasp_hand, spec.urdf, spec.targets), with_targets)
 
     def named_objects(self, grasps: GraspSet, path: Path) -> dict[str, ObjectSource]:
         """Return the sources of the selected objects of the grasps, in the order of the file.
@@ -277,7 +298,8 @@ class Loader:
         """Return the grasps of a file, or of a folder, of any format."""
         spec = self.spec
         # Our files name their joints; for others the columns may follow from the hand.
-        hand = None if spec.hand is None or path.suffix == ".npz" else self.hands.load(spec.hand, None)
+        own = spec if spec.transfer_from is None else spec.of_source()
+        hand = None if own.hand is None or path.suffix == ".npz" else replace(self, spec=own).hands.load(own.hand, None)
         return reading(path, format=spec.format, hand=hand)
 
     def _files(self, path: Path, read: Reading) -> tuple[Path, ...]:

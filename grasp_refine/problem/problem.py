@@ -41,6 +41,8 @@ class Group:
     """Numbers of the grasps (N,) within their object."""
     place: np.ndarray
     """Positions of the grasps (N,) among all requested ones."""
+    source: Scene | None = None
+    """Grasps of another hand that these are to be transferred from; until then there are as many placeholders."""
 
     @property
     def key(self) -> tuple[str, float]:

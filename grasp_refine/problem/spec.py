@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,7 +26,7 @@ SAMPLE = "sample:"
 PATHS = ("urdf", "mjcf", "objects", "grasps")
 """Fields that are kept as `Path`."""
 
-NAMES_OR_PATHS = ("hand", "arm", "object", "targets", "task", "protocol", "scene")
+NAMES_OR_PATHS = ("hand", "transfer_from", "arm", "object", "targets", "task", "protocol", "scene")
 """Fields that are names, or paths if they cannot be names; kept as text."""
 
 
@@ -59,6 +59,9 @@ class SourceSpec(HandSpec, TaskSpec):
     hand: str | None = None
     """Hand: a name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF or MJCF, a URDF or MJCF file,
     an asset such as hands/leap, or robot_descriptions/NAME. By default the hand of the grasp file."""
+    transfer_from: str | None = None
+    """Hand of the grasp file, named like `hand`, where its grasps are to be transferred to `hand`: its fingers touch
+    where the fingers of that hand do, and come from the same side."""
     arm: str | None = None
     """Arm that carries the hand, and whose base stands still: ur5e, or a URDF, MJCF, folder or asset, as for a hand.
     Where the hand's own file has the arm, `base` alone. By default none: the hand floats."""
@@ -119,6 +122,10 @@ class SourceSpec(HandSpec, TaskSpec):
             raise GraspRefineError(f"`scale` must be positive and finite, got {self.scale:g}")
         check_hull_limit(self.hull_limit)
         self.check_task()
+        if self.transfer_from is not None and self.hand is None:
+            raise GraspRefineError(
+                f"`transfer_from='{self.transfer_from}'`: needs the hand that the grasps are transferred to, `hand`"
+            )
         for name, value in (("mount", self.mount), ("mount_pose", self.mount_pose)):
             if value is not None and self.arm is None:
                 raise GraspRefineError(f"`{name}='{value}'`: needs the arm that carries the hand, `arm`")
@@ -137,6 +144,17 @@ class SourceSpec(HandSpec, TaskSpec):
     def stands(self) -> bool:
         """Whether the hand's own file has the arm, from whose base on it is read."""
         return self.base is not None and self.arm is None
+
+    @property
+    def grasp_hand(self) -> str | None:
+        """Hand of the grasp file; None: as the file says."""
+        return self.hand if self.transfer_from is None else self.transfer_from
+
+    def of_source(self) -> Any:
+        """Return the specification of the grasps that are to be transferred, as of their own hand."""
+        own = {name: getattr(HandSpec, name) for name in HandSpec.__dataclass_fields__}
+        own |= dict.fromkeys(("transfer_from", "arm", "mount", "mount_pose", "base"))
+        return replace(self, **own, hand=self.transfer_from)
 
     def metres(self, scale: float) -> float:
         """Return the factor that takes a mesh to metres, where `scale` takes it to its unit."""

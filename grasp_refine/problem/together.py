@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_refine.core.array_records import index_distinct
+from grasp_refine.core.array_records import index_distinct, join
 from grasp_refine.problem.problem import Group
 from grasp_refine.refinement.config import Config
 from grasp_refine.scene.scene import GRASP_FIELDS, Scene
@@ -33,7 +33,9 @@ def sets_of(groups: Sequence[Group], config: Config) -> list[list[Group]]:
 
 def _fits(first: Scene, scene: Scene) -> bool:
     """Return whether the grasps of a scene can be refined with the grasps of the first one of a set."""
-    alike = all((getattr(scene, name) is None) == (getattr(first, name) is None) for name in GRASP_FIELDS)
+    alike = all(
+        (getattr(scene, name) is None) == (getattr(first, name) is None) for name in (*GRASP_FIELDS, "original")
+    )
     return alike and scene.hand is first.hand and scene.task == first.task and first.fits(scene.object)
 
 
@@ -45,4 +47,5 @@ def together(scenes: Sequence[Scene]) -> Scene:
         for name in GRASP_FIELDS
     }
     objects, number = index_distinct([scene.object for scene in scenes])
+    arrays["original"] = join(*(scene.original for scene in scenes))
     return replace(first, **arrays, object=objects[0], others=objects[1:], of_object=np.repeat(number, counts))

@@ -27,6 +27,7 @@ from grasp_refine.results.weakness import weaknesses
 from grasp_refine.scene.contact_links import contact_gaps
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.original import Original
 from grasp_refine.scene.scene import Scene
 
 
@@ -54,6 +55,10 @@ class Outcome:
     """A `Status` (N,)."""
     change: np.ndarray
     """A `Change` (N,) as text; empty for grasps that were not refined at all."""
+    fidelity: np.ndarray
+    """A `Likeness` (N,) of transferred grasps as text; empty for others."""
+    fingers: np.ndarray
+    """Text on each finger of the originals of transferred grasps (N,), as `Fidelity.texts`; empty for others."""
     measures: Mapping[str, np.ndarray]
     """Name of a measure of `RECORDED` -> its values (N, 2) before and after, or (N,) after alone; SI units."""
     contact_gap: np.ndarray
@@ -126,8 +131,9 @@ class Outcome:
         return self["quality"]
 
     def texts(self) -> dict[str, np.ndarray]:
-        """Return the texts (N,) on the refinement, as result files have them: status and change."""
-        return {"status": labels(Status, self.status), "change": self.change}
+        """Return the texts (N,) as result files have them: on the refinement, and on the fidelity of transfers."""
+        words = {name: getattr(self, name) for name in ("change", "fidelity", "fingers")}
+        return {"status": labels(Status, self.status), **words}
 
     def entries(self) -> dict[str, np.ndarray]:
         """Return the measures as result files have them: `Measure.entries` -> values (N,), SI units."""
@@ -188,7 +194,7 @@ def compare(
     gaps = np.concatenate([contact_gaps(before, geometry.witness.rows(slice(count)), selection), gap_after])
     errors = contact_errors(geometry.distance, geometry.witness, geometry.T_world_link, gaps, *targets)
     geometry = replace(geometry, contact_error=errors)
-    grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry, scene.task)
+    grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry, scene.task, _twice(scene.original))
     # Links that are part of the input grasp, whatever should touch besides.
     plain, near = replace(before, target_link=None, target_object=None), KEEP.touching(selection or ContactSelection())
     own = ~np.isnan(contact_gaps(plain, geometry.witness.rows(slice(count)), near))
@@ -221,6 +227,8 @@ def compare(
         q_before=scene.q,
         status=refinement.status,
         change=np.where(np.isin(refinement.status, UNUSABLE), "", changes(*touching, moved.contacts_moved)),
+        fidelity=np.full(count, "") if grasps.fidelity is None else grasps.fidelity.likeness[count:],
+        fingers=np.full(count, "") if grasps.fidelity is None else grasps.fidelity.texts(scene.hand.fingers)[count:],
         measures=measures,
         contact_gap=gap_after,
         target_point_link=refinement.target_link,
@@ -235,6 +243,11 @@ def compare(
         weakness=np.array(_weaknesses(grasps)[count:], dtype=np.str_),
         forces=motion.forces,
     )
+
+
+def _twice(original: Original | None) -> Original | None:
+    """Return the original of grasps before and after."""
+    return None if original is None else join(original, original)
 
 
 def _measured(

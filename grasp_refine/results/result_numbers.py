@@ -29,7 +29,7 @@ HELD = {f"held_{side}": f"simulation_{side}" for side in SIDES} | {
 """Name of a verdict, of the engine that decides and of each -> its entry in the files of simulated grasps."""
 
 
-TEXTS = ("status", "change")
+TEXTS = ("status", "change", "fidelity")
 """Entries of texts on the refinement of each grasp."""
 
 

@@ -17,6 +17,7 @@ from grasp_refine.measures.measures import COMPARED, MEASURES, QUALITY, Measure
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.changed import Changed
+from grasp_refine.results.fidelity_lines import fidelity_lines
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.simulated import SimulatedGrasps, closings_line, simulation_lines
 from grasp_refine.results.verdict import (
@@ -82,7 +83,7 @@ def grasp_table(
     if simulated is not None:
         lines = [simulation_lines(simulated, outcome.quality), *lines]
     parts += [line for part in (*lines, _misplaced(outcome)) for line in part]
-    parts += Changed.of(outcome, config.confidence).lines()
+    parts += fidelity_lines(outcome) or Changed.of(outcome, config.confidence).lines()
     return Group(*parts, *_summary_lines(outcome), *([] if simulated is None else [closings_line(simulated)]))
 
 
@@ -96,8 +97,12 @@ def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | N
     last = "held in\nsimulation" if held is not None else "\nestimate" if holds else "\nstatus"
     table = _table(title, last)
     for i in shown.tolist():
-        values = {key: outcome[key][i] for key in _TABLE_KEYS}
-        table.add_row(str(outcome.index[i]), *_cells(values, outcome.change[i]), _verdict(outcome, i, holds, held))
+        values, changed = {key: outcome[key][i] for key in _TABLE_KEYS}, outcome.fidelity[i] or outcome.change[i]
+        table.add_row(
+            str(outcome.index[i]),
+            *_cells(values, changed),
+            _verdict(outcome, i, holds, held),
+        )
     if len(outcome) > 1:
         table.add_section()
         _add_summary(table, outcome)

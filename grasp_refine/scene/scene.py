@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.arguments import as_numbers, check_kind, check_shape, shape_error
+from grasp_refine.core.array_records import take
 from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
@@ -17,6 +18,7 @@ from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.scene.demand import Demand
 from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.original import Original
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.task import Task
 
@@ -60,6 +62,8 @@ class Scene:
     for all links of grasps without a record. None: no grasp has one; see `contact_links`."""
     task: Task = Task()
     """Task of the grasps; its regions are made for the object."""
+    original: Original | None = None
+    """Contacts of the grasps of another hand that these were transferred from; None: they were not."""
     others: tuple[Object, ...] = ()
     """Further objects, of some of the grasps."""
     of_object: np.ndarray | None = None
@@ -196,7 +200,7 @@ class Scene:
         arrays: dict[str, Any] = {
             name: None if (array := getattr(self, name)) is None else array[rows] for name in names
         }
-        return replace(self, **arrays)
+        return replace(self, **arrays, original=take(self.original, rows))
 
     def masked(self, rows: Bool[np.ndarray, " N"]) -> "Scene":
         """Return the scene with NaN for all numbers of the grasps where `rows` (N,) is False."""

@@ -27,6 +27,7 @@ LAYOUT_VERSION = 1
 
 CONTENT_INPUTS = (
     "hand",
+    "transfer_from",
     "arm",
     "urdf",
     "mjcf",
@@ -68,10 +69,14 @@ class Digests:
     def hand(self, source: str, inputs: SourceSpec, say: Callable[[str], None]) -> tuple[str, str]:
         """Name of a hand, or of one on an arm, and hash of the files of both and all meshes that they name.
 
+        Where grasps are transferred, the files of their own hand count, too.
+
         Raises:
             AssetError, HandError: there is no such hand, or it cannot be read.
         """
         hand = self._robot(source, inputs.urdf, inputs.mjcf, say)
+        if inputs.transfer_from is not None:
+            hand = hand[0], sha256_of([hand[1], self._robot(inputs.transfer_from, None, None, say)[1]])
         if inputs.arm is None:
             return hand
         arm = self._robot(inputs.arm, None, None, say)

@@ -27,7 +27,20 @@ from grasp_refine_apps.batch.record import is_result
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.processes.task import message_of, traceback_of
 
-INPUT_PATHS = ("grasps", "hand", "arm", "urdf", "mjcf", "object", "objects", "targets", "task", "protocol", "scene")
+INPUT_PATHS = (
+    "grasps",
+    "hand",
+    "transfer_from",
+    "arm",
+    "urdf",
+    "mjcf",
+    "object",
+    "objects",
+    "targets",
+    "task",
+    "protocol",
+    "scene",
+)
 """ProblemSpec that may be files or folders."""
 
 RESERVED = ("report.html", "index.csv", "index.parquet")
@@ -159,7 +172,7 @@ class Planner:
             return
         path = loader.grasp_path()
         read = loader.read(path)
-        if inputs.hand is None:
+        if inputs.grasp_hand is None:
             check_known(read.grasps.hand, path)
         named = inputs.hand or read.grasps.hand
         hand, digest = digests.hand(named, inputs, loader.on_message)

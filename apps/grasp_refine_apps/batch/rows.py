@@ -51,6 +51,7 @@ def column_kinds() -> dict[str, Kind]:
         "row": "whole",
         "status": "text",
         "change": "text",
+        "fidelity": "text",
         **_kinds(measure for measure in RECORDED if measure.unit != SECOND),
         **dict.fromkeys(HELD, "flag"),
         "reason_after": "text",
@@ -129,6 +130,7 @@ def read_rows(shard: Shard, out: Path) -> Rows:
         "row": each([np.nan if row is None else row for row in place]),
         "status": status,
         "change": texts_of(file, "change", n),
+        "fidelity": texts_of(file, "fidelity", n),
         **{column: numbers_of(file, entry, n) for column, entry in number_entries().items()},
     }
     for side in SIDES:

@@ -17,7 +17,19 @@ from grasp_refine_apps.commands.option_rules import OptionGroup
 HAND = OptionGroup(
     "hand",
     "The hand, and the arm that carries it.",
-    ("hand", "arm", "mount", "mount_pose", "urdf", "mjcf", "collision", "base_link", "follower_limits", "hull_limit"),
+    (
+        "hand",
+        "transfer_from",
+        "arm",
+        "mount",
+        "mount_pose",
+        "urdf",
+        "mjcf",
+        "collision",
+        "base_link",
+        "follower_limits",
+        "hull_limit",
+    ),
 )
 OBJECT = OptionGroup(
     "object",
@@ -53,6 +65,7 @@ class Sources(SourceSpec):
         "mount_pose": "POSE",
         "base": "POSE",
         "scene": "NAME|FILE",
+        "transfer_from": "HAND",
         "touch": "REGION",
         "avoid": "REGION",
         "table": "Z",

@@ -49,14 +49,29 @@ from grasp_refine_apps.report.screen import screen
 
 @dataclass(frozen=True)
 class Output:
-    """Outputs of the command."""
+    """Outputs of a refinement."""
 
-    groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("output", "Files, tables, trajectories, the viewer."),)
+    groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("output", "Files, tables, the viewer."),)
 
     out: Path = Path("grasp-refine-results")
     """Folder for the refined grasps, <hand>_<object>.npz."""
     json: OptionalFile = None
     """Write the measures of each grasp to this file, in SI units."""
+    overwrite: Overwrite = False
+    verbose: bool = False
+    """List all grasps, even if there are more than 40."""
+    profile: bool = False
+    """Show the time of each stage, also in the --json file."""
+    view: bool = False
+    """Show the refined grasps in a browser, as `refine-grasp view` does."""
+
+
+@dataclass(frozen=True)
+class OutputWithTrajectory(Output):
+    """Outputs of the command."""
+
+    groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("output", "Files, tables, trajectories, the viewer."),)
+
     trajectory: OptionalFile = None
     """Plan the trajectory of each grasp, approach, pregrasp, grasp, squeeze and lift, report obstacles, and write
     waypoints and set points over time to this file, .json or .npz. With --validate and a protocol that lifts, MuJoCo
@@ -68,13 +83,6 @@ class Output:
     start: Annotated[str | None, arg(name="from", metavar="JOINTS")] = None
     """Joint values of the arm (radians, or metres of slides) with commas between them, from which it comes to the
     approach, straight in its joints, with --trajectory. By default the trajectory begins with the approach."""
-    overwrite: Overwrite = False
-    verbose: bool = False
-    """List all grasps, even if there are more than 40."""
-    profile: bool = False
-    """Show the time of each stage, also in the --json file."""
-    view: bool = False
-    """Show the refined grasps in a browser, as `refine-grasp view` does."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +97,7 @@ class Run:
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
     validation: Annotated[ValidationOptions, arg(name="")] = field(default_factory=ValidationOptions)
-    output: Annotated[Output, arg(name="")] = field(default_factory=Output)
+    output: Annotated[OutputWithTrajectory, arg(name="")] = field(default_factory=OutputWithTrajectory)
 
     def execute(self) -> int:
         """Run the command and return its exit code.

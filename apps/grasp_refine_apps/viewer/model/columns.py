@@ -104,7 +104,8 @@ STATUS = Column("status", "Status", "how the refinement ended", np.zeros(0, dtyp
 """The column of how refinements ended."""
 CHANGE = Column("change", "Change", "what the refinement changed", np.zeros(0, dtype=str))
 """The column of changes by refinement, a `Change` each."""
-OF_REFINEMENT = (STATUS, CHANGE)
+FIDELITY = Column("fidelity", "Fidelity", "likeness to the grasp of another hand", np.zeros(0, dtype=str))
+OF_REFINEMENT = (STATUS, CHANGE, FIDELITY)
 """The columns of texts that result files have."""
 HELD = Column("held", "Simulation", "whether the grasp held in MuJoCo", np.zeros(0, dtype=str))
 """The column of verdicts of the simulation."""

@@ -1,0 +1,75 @@
+"""Transferred grasps as a problem: grasps of another hand become grasps of this one, on the same objects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from grasp_refine.core.array_records import index_distinct, join, take
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.se3 import pose_from_transform
+from grasp_refine.grasps.grasp_set import GraspSet
+from grasp_refine.hands.hand import Hand
+from grasp_refine.problem.problem import Group, Problem
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+from grasp_refine.transfers.source_grasps import source_grasps
+from grasp_refine.transfers.transfer import transfer_grasps
+
+
+def to_transfer(group: Group, hand: Hand) -> Group:
+    """Return a group whose grasps are to be transferred to a hand; until then that is at rest at the origin."""
+    count = len(group.rows)
+    T, q = np.tile(np.eye(4), (count, 1, 1)), np.tile(hand.rest, (count, 1))
+    return _group(group, hand, T, q, source=group.scene)
+
+
+def transferred(problem: Problem, hand: Hand) -> Problem:
+    """Return the grasps of a problem transferred to a hand.
+
+    Raises:
+        GraspRefineError: one of the hands is on an arm, or cannot grip.
+    """
+    for one in (problem.hand, hand):
+        if one.arm is not None:
+            raise GraspRefineError(f"{one.name} is on an arm: transfer grasps of the hand alone, then mount the hand")
+    groups = tuple(to_transfer(group, hand) for group in problem.groups)
+    return with_transfers(replace(problem, hand=hand, groups=groups, notes=(*problem.notes, *hand.notes)))
+
+
+def with_transfers(problem: Problem) -> Problem:
+    """Return the problem with its grasps transferred from their sources.
+
+    Raises:
+        HandError: no joint of a hand moves a link that is meant to touch.
+    """
+    hand = problem.groups[0].scene.hand
+    sources = [group.source for group in problem.groups if group.source is not None]
+    assert len(sources) == len(problem.groups)
+    objects, number = index_distinct([group.scene.object for group in problem.groups])
+    found = transfer_grasps(
+        join(*(source_grasps(scene) for scene in sources)),
+        HandObject(hand, objects[0], others=objects[1:]),
+        np.repeat(number, [len(group.rows) for group in problem.groups]),
+        (sources[0].hand, np.concatenate([scene.q for scene in sources])),
+    )
+    groups, begin = [], 0
+    for group in problem.groups:
+        some = take(found, slice(begin, begin + len(group.rows)))
+        begin += len(group.rows)
+        placed = _group(group, hand, some.T, some.q, source=None)
+        aims = {"target_link": some.target_link, "target_object": some.target_object}
+        aims = {} if np.isnan(some.target_link).all() else aims
+        groups.append(replace(placed, scene=replace(placed.scene, original=some.original, **aims)))
+    note = f"{count_text(len(problem), 'grasp')} of {sources[0].hand.name} transferred to {hand.name}"
+    return replace(problem, groups=tuple(groups), notes=(*problem.notes, note))
+
+
+def _group(group: Group, hand: Hand, T: np.ndarray, q: np.ndarray, source: Scene | None) -> Group:
+    """Return a group with other grasps, of a hand, on the same object."""
+    old = group.grasps
+    grasps = GraspSet.of(hand, pose_from_transform(T), q, object=old.object, scale=old.scale)
+    scene = Scene(hand, group.scene.object, T, q, task=group.scene.task)
+    return replace(group, scene=scene, grasps=replace(grasps, labels=old.labels), source=source)

@@ -1,0 +1,116 @@
+"""Transfers: the same hand gets its own grasps back, fingers reach contacts, frames do not matter, losses are said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import grasp_refine as gr
+from grasp_refine.core.se3 import distances, exp_so3, matvec, transform
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.measures.fidelity import Likeness
+from grasp_refine.objects.object import load_object
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.problem import Problem
+from grasp_refine.problem.spec import ProblemSpec
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+from grasp_refine.transfers.placement import Pads
+from grasp_refine.transfers.source_grasps import source_grasps
+from grasp_refine.transfers.transfer import Transferred, transfer_grasps
+
+
+@pytest.fixture(scope="module")
+def shadow() -> Problem:
+    """Grasps of the Shadow hand on the mug, from its palm on."""
+    return load_problem(ProblemSpec(hand="shadow_palm"))
+
+
+@pytest.fixture(scope="module")
+def allegro() -> Hand:
+    return load_hand("allegro")
+
+
+def transferred(scene: Scene, hand: Hand) -> Transferred:
+    number = np.zeros(len(scene.q), dtype=np.int64)
+    return transfer_grasps(source_grasps(scene), HandObject(hand, scene.object), number, (scene.hand, scene.q))
+
+
+def pad_misses(found: Transferred, hand: Hand) -> np.ndarray:
+    """Distances (N, k) of the fingers' surfaces from the contacts that they take over."""
+    from grasp_refine.transfers.hand_frame import HandFrame
+
+    points = Pads.of(hand).points(hand, found.T, found.q)
+    order = [HandFrame.of(hand).fingers.index(finger) for finger in hand.fingers]
+    return np.linalg.norm(points[:, order] - found.original.point[:, :, None], axis=-1).min(axis=2)
+
+
+def test_the_same_hand_gets_its_own_grasps_back(shadow: Problem):
+    scene = shadow.groups[0].scene
+    found = transferred(scene, load_hand("shadow_palm"))
+    moved, turned = distances(scene.T_world_root, found.T)
+    assert moved.max() < 1e-4
+    assert turned.max() < 1e-3
+    np.testing.assert_allclose(found.q, scene.q, atol=1e-3)
+    assert set(found.original.dropped.tolist()) == {""}
+
+
+def test_a_longer_arm_of_the_same_hand_reaches_the_same_contacts(shadow: Problem):
+    scene, hand = shadow.groups[0].scene, load_hand("shadow")
+    assert np.nanmedian(pad_misses(transferred(scene, hand), hand)) < 3e-3
+
+
+def test_fingers_of_another_hand_reach_the_contacts_of_their_namesakes(shadow: Problem, allegro: Hand):
+    scene = shadow.groups[0].scene
+    found = transferred(scene, allegro)
+    assert np.nanmedian(pad_misses(found, allegro)) < 3e-3
+    takes = [dict(zip(allegro.fingers, names, strict=True)) for names in found.original.finger.tolist()]
+    assert all(one["thumb"] in ("thumb", "") for one in takes)
+    order = ["thumb", "index", "middle", "ring", "little"]
+    for one in takes:
+        ranks = [order.index(one[finger]) for finger in ("index", "middle", "ring") if one[finger]]
+        assert ranks == sorted(ranks)
+
+
+def test_a_rigid_motion_of_the_scene_moves_the_transfer_with_it(shadow: Problem, allegro: Hand):
+    scene = shadow.groups[0].scene
+    # Round, so that no contact may be anywhere on a flat face.
+    egg = trimesh.creation.icosphere(subdivisions=4)
+    egg.apply_transform(np.diag([0.045, 0.04, 0.055, 1.0]))
+    M = transform(exp_so3(np.array([0.3, -0.8, 0.5])), np.array([0.2, -0.1, 0.4]))
+    plain, turned = load_object(egg), load_object(egg.copy().apply_transform(M))
+    first = transferred(replace(scene, object=plain), allegro)
+    second = transferred(replace(scene, object=turned, T_world_root=M @ scene.T_world_root), allegro)
+    np.testing.assert_allclose(second.T, M @ first.T, atol=1e-5)
+    np.testing.assert_allclose(second.q, first.q, atol=1e-4)
+    points = matvec(M[:3, :3], first.original.point) + M[:3, 3]
+    np.testing.assert_allclose(second.original.point, points, atol=1e-8)
+
+
+def test_refined_transfers_touch_where_the_original_did(shadow: Problem, allegro: Hand):
+    found = gr.transfer(shadow, to=allegro).outcome
+    assert np.nanmedian(found["original_pinch_shift_m"]) < 0.015
+    assert (found.fidelity != Likeness.OTHER).mean() >= 0.5
+    assert np.nanmax(found["original_turn_rad"]) < np.radians(60.0)
+
+
+def test_jaws_drop_fingers_and_say_so(shadow: Problem):
+    found = gr.transfer(shadow, to=load_hand("franka_hand")).outcome
+    assert Likeness.SAME not in found.fidelity.tolist()
+    assert all("dropped" in text for text in found.fingers.tolist())
+    assert found["original_kept"].max() <= 0.5
+
+
+def test_refinements_of_a_hands_own_grasps_have_no_fidelity(shadow: Problem):
+    found = gr.refine(shadow).outcome
+    assert set(found.fidelity.tolist()) == {""}
+    assert np.isnan(found["original_kept"]).all()
+
+
+def test_a_hand_on_an_arm_is_refused(shadow: Problem):
+    mounted = gr.mount(gr.load_arm("ur5e"), load_hand("allegro"))
+    with pytest.raises(gr.GraspRefineError, match="allegro"):
+        gr.transfer(shadow, to=mounted)
