@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -12,10 +13,13 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
+from grasp_refine.objects.object import Object
 from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.transfers.source_grasps import source_grasps
+from grasp_refine.transfers.hand_frame import HandFrame
+from grasp_refine.transfers.mirror import mirror_plane, mirrored
+from grasp_refine.transfers.source_grasps import SourceGrasps, source_grasps
 from grasp_refine.transfers.transfer import transfer_grasps
 
 
@@ -49,8 +53,13 @@ def with_transfers(problem: Problem) -> Problem:
     sources = [group.source for group in problem.groups if group.source is not None]
     assert len(sources) == len(problem.groups)
     objects, number = index_distinct([group.scene.object for group in problem.groups])
+    parts, notes = [], []
+    for scene in sources:
+        part, some_notes = _on_side(source_grasps(scene), hand, scene.object)
+        parts.append(part)
+        notes += some_notes
     found = transfer_grasps(
-        join(*(source_grasps(scene) for scene in sources)),
+        join(*parts),
         HandObject(hand, objects[0], others=objects[1:]),
         np.repeat(number, [len(group.rows) for group in problem.groups]),
         (sources[0].hand, np.concatenate([scene.q for scene in sources])),
@@ -60,16 +69,33 @@ def with_transfers(problem: Problem) -> Problem:
         some = take(found, slice(begin, begin + len(group.rows)))
         begin += len(group.rows)
         placed = _group(group, hand, some.T, some.q, source=None)
-        aims = {"target_link": some.target_link, "target_object": some.target_object}
+        aims: dict[str, Any] = {"target_link": some.target_link, "target_object": some.target_object}
         aims = {} if np.isnan(some.target_link).all() else aims
         groups.append(replace(placed, scene=replace(placed.scene, original=some.original, **aims)))
     note = f"{count_text(len(problem), 'grasp')} of {sources[0].hand.name} transferred to {hand.name}"
-    return replace(problem, groups=tuple(groups), notes=(*problem.notes, note))
+    return replace(problem, groups=tuple(groups), notes=tuple(dict.fromkeys((*problem.notes, note, *notes))))
+
+
+def _on_side(grasps: SourceGrasps, hand: Hand, obj: Object) -> tuple[SourceGrasps, list[str]]:
+    """Return grasps of a right hand for a left one, or the other way round, mirrored where the object allows; notes."""
+    frame = HandFrame.of(hand)
+    other = (grasps.is_left != frame.is_left) & (grasps.thumb == frame.thumb == "side")
+    if not other.any():
+        return grasps, []
+    sides = ("left", "right") if frame.is_left else ("right", "left")
+    plane = mirror_plane(obj)
+    if plane is None:
+        return grasps, [
+            f"{obj.name} has no mirror plane: a {sides[0]} hand reaches the contacts of a {sides[1]} hand as it can"
+        ]
+    return mirrored(grasps, plane, other), [
+        f"{obj.name}: grasps of a {sides[1]} hand are mirrored for a {sides[0]} one"
+    ]
 
 
 def _group(group: Group, hand: Hand, T: np.ndarray, q: np.ndarray, source: Scene | None) -> Group:
     """Return a group with other grasps, of a hand, on the same object."""
     old = group.grasps
-    grasps = GraspSet.of(hand, pose_from_transform(T), q, object=old.object, scale=old.scale)
+    grasps = GraspSet(hand.name, hand.base_link, hand.joint_names, old.object, old.scale, pose_from_transform(T), q)
     scene = Scene(hand, group.scene.object, T, q, task=group.scene.task)
     return replace(group, scene=scene, grasps=replace(grasps, labels=old.labels), source=source)

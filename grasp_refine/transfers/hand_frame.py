@@ -207,7 +207,7 @@ def _knuckles(hand: Hand, names: tuple[str, ...], closure: ClosureFrame) -> Floa
     """
     matrix, _, movable = hand.mimic_map()
     closes = dict(zip(movable, (matrix[:, closure.closing != 0] != 0.0).any(axis=1), strict=True))
-    first = {}
+    first: dict[str, str] = {}
     for contact in hand.contacts:
         above = [joint for joint in joints_above(contact.link, hand.joints) if closes.get(joint.name)]
         first.setdefault(contact.group, above[-1].child if above else hand.base_link)

@@ -36,12 +36,12 @@ def finger_joints(hand: Hand) -> tuple[FingerJoints, ...]:
         of_finger.setdefault(contact.group, list(dict.fromkeys(found)))
     shared = {k for one in of_finger.values() for k in one if sum(k in other for other in of_finger.values()) > 1}
     alone = len(of_finger) > 1 and not all(set(one) <= shared for one in of_finger.values())
-    found = []
+    joints = []
     for finger in frame.fingers:
         own = [k for k in of_finger[finger] if not (alone and k in shared)]
         closes = frame.closure.closing != 0
-        found.append(FingerJoints(tuple(k for k in own if closes[k]), tuple(k for k in own if not closes[k])))
-    return tuple(found)
+        joints.append(FingerJoints(tuple(k for k in own if closes[k]), tuple(k for k in own if not closes[k])))
+    return tuple(joints)
 
 
 def copied_joints(

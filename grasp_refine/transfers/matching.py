@@ -28,14 +28,20 @@ class Matching:
     """Cost of fingers in other places than their own, without unit."""
 
 
-def matchings(source: SourceGrasps, frame: HandFrame, touching: tuple[bool, ...]) -> list[Matching]:
+def matchings(source: SourceGrasps, frame: HandFrame, touching: tuple[bool, ...], *, same_side: bool) -> list[Matching]:
     """Return the matchings of the fingers of a source that touch with the fingers of a hand, the likeliest first.
 
     The thumb takes the place of the thumb. The others keep their order from the thumb's side on; where one of the hands
     has no such side, or they are a left and a right one, it may be reversed. Where too few fingers are there, some
     are dropped; where there are more, some are free.
+
+    Args:
+        source: The grasps.
+        frame: Frame of the hand.
+        touching: Whether each finger of the source touches.
+        same_side: Whether both are right hands, or both left hands.
     """
-    symmetric = not source.thumb == frame.thumb == "side"
+    symmetric = not (same_side and source.thumb == frame.thumb == "side")
     found = {each.taken + (each.turned,): each for each in _all(source, frame, touching, symmetric)}
     return sorted(found.values(), key=lambda each: each.cost)[:MAX_MATCHINGS]
 

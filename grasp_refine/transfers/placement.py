@@ -69,7 +69,7 @@ class Pads:
         )
         parts = []
         for finger in frame.fingers:
-            of_finger = []
+            of_finger: list[tuple[int, np.ndarray, np.ndarray]] = []
             for contact in hand.contacts:
                 if contact.group != finger or contact.link in [links[each[0]] for each in of_finger]:
                     continue

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.core.array_types import Float, Int, Shaped
+from grasp_refine.core.array_types import Bool, Float, Int, Shaped
 from grasp_refine.core.short_repr import brief
 from grasp_refine.scene.contact_selection import ContactSelection, link_groups
 from grasp_refine.scene.hand_object import HandObject
@@ -41,6 +41,11 @@ class SourceGrasps:
     def __len__(self) -> int:
         """Return the number of grasps."""
         return len(self.point)
+
+    @property
+    def is_left(self) -> Bool[np.ndarray, " N"]:
+        """Mask (N,) of grasps of a left hand, as `HandFrame.is_left`."""
+        return np.linalg.det(self.axes) < 0.0 if self.thumb == "side" else np.zeros(len(self), dtype=bool)
 
     @property
     def touching(self) -> Shaped[np.ndarray, "N F"]:

@@ -131,12 +131,13 @@ class Members:
 
 def _members(source: SourceGrasps, frame: HandFrame) -> Members:
     """Return an attempt for each matching of each grasp."""
-    known: dict[tuple[bool, ...], list[Matching]] = {}
+    known: dict[tuple[tuple[bool, ...], bool], list[Matching]] = {}
     found: list[tuple[int, Matching]] = []
-    for row, touching in enumerate(map(tuple, source.touching.tolist())):
-        if touching not in known:
-            known[touching] = matchings(source, frame, touching)
-        found += [(row, each) for each in known[touching]]
+    for row, (touching, left) in enumerate(zip(source.touching.tolist(), source.is_left.tolist(), strict=True)):
+        key = tuple(touching), left == frame.is_left
+        if key not in known:
+            known[key] = matchings(source, frame, key[0], same_side=key[1])
+        found += [(row, each) for each in known[key]]
     return Members(
         row=np.array([row for row, _ in found], dtype=np.int64),
         taken=np.array([each.taken for _, each in found], dtype=np.int64).reshape(-1, len(frame.fingers)),

@@ -10,9 +10,7 @@ import pytest
 
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.transfers.hand_frame import HandFrame
-from made_hands import joint, links, solid, write_urdf
-
-TIP, BALL = solid("sphere 0.01", "0 0 0.03"), solid("sphere 0.02")
+from tripod import tripod
 
 
 def nameless(hand: Hand, seed: int) -> tuple[Hand, dict[str, str]]:
@@ -53,20 +51,6 @@ def test_jaws_have_no_thumb():
     frame = HandFrame.of(load_hand("franka_hand"))
     assert frame.thumb == "none"
     np.testing.assert_allclose(np.abs(frame.axes[:, 2]), [0, 0, 1], atol=0.05)
-
-
-def tripod(folder: Path, *, thumb_at: float, misnamed: bool = False) -> Hand:
-    """Three fingers in a row along y that close along x, and one that faces them, at `thumb_at` on y."""
-    names = {"thumb_a": -0.03, "b": 0.0, "c": 0.03} if misnamed else {"a": -0.03, "b": 0.0, "c": 0.03}
-    body = links("palm", inside=BALL)
-    for name, at in names.items():
-        body += links(name, inside=TIP) + joint(
-            f"j{name}", "palm", name, at=(-0.04, at, 0.02), axis="0 1 0", limits=(-0.3, 1.2)
-        )
-    body += links("d", inside=TIP) + joint(
-        "jd", "palm", "d", at=(0.04, thumb_at, 0.02), axis="0 -1 0", limits=(-0.3, 1.2)
-    )
-    return load_hand(write_urdf(folder, body), candidates=64)
 
 
 def test_the_side_of_the_thumb_orders_the_fingers_and_tells_left_from_right(tmp_path: Path):

@@ -27,7 +27,7 @@ class Given(Inputs):
         OBJECT,
         TASK,
     )
-    metavars: ClassVar[Mapping[str, str]] = Inputs.metavars | {"grasps": "FILE"}
+    metavars: ClassVar[Mapping[str, str]] = {**Inputs.metavars, "grasps": "FILE"}
 
     grasps: Positional[Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="")]] = None
     """Grasp file, or a folder of them: ours (.npz), or of another program (see --format)."""

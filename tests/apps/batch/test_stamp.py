@@ -232,6 +232,7 @@ def test_an_input_that_changes_while_the_batch_runs_is_refused(inputs: dict[str,
 # Fields of a job
 
 FIELDS: dict[str, dict[str, Any]] = {
+    "transfer_from": {"transfer_from": "hand"},
     "hand": {"hand": "allegro"},
     "urdf": {"urdf": Path("other.urdf")},
     "mjcf": {"mjcf": Path("other.xml")},
