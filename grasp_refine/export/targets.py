@@ -17,7 +17,8 @@ from grasp_refine.grasps.formats.folders import disambiguate, object_folder, sca
 
 _HOMES = {
     "mjcf": ("mjcf", "Mjcf"),
-    "sapien": ("sapien", "Sapien"),
+    "sapien": ("urdf_folder", "UrdfFolder"),
+    "drake": ("urdf_folder", "UrdfFolder"),
     "usd": ("usd", "Usd"),
     "csv": ("table", "Table"),
     "parquet": ("table", "Table"),

@@ -14,7 +14,7 @@ from grasp_refine.core.rpy_poses import rpy_from_transform
 from grasp_refine.export.bodies import Bodies, BodyLink, Hull
 from grasp_refine.hands.files.inertia import Inertia
 
-ROOT = "world"
+ROOT = "hand_start"
 """Link at which the root stands still, above its joints."""
 
 ROOT_JOINTS = ("root_x", "root_y", "root_z", "root_roll", "root_pitch", "root_yaw")

@@ -172,11 +172,16 @@ def test_the_urdf_of_a_hand_has_its_kinematics_pieces_masses_and_drives(gripper:
     np.testing.assert_allclose(np.sort(np.ptp(points, axis=0)), [0.05, 0.06, 0.07], rtol=1e-5)
 
 
-def test_sapien_simulates_the_folder_alone(gripper: gr.Hand, tmp_path: Path):
-    pytest.importorskip("sapien", reason="SAPIEN is not installed: pip install 'grasp-refine[physx]'")
+@pytest.mark.parametrize(
+    ("program", "package", "engine"), [("sapien", "sapien", "physx"), ("drake", "pydrake", "drake")]
+)
+def test_other_engines_simulate_their_folders_alone(
+    program: str, package: str, engine: str, gripper: gr.Hand, tmp_path: Path
+):
+    pytest.importorskip(package, reason=f"it is not installed: pip install 'grasp-refine[{engine}]'")
     problem = problem_of(gripper, "dexgraspbench")
-    export(exported_grasps(problem, closing="own"), "sapien", tmp_path / "folder")
-    verdict = gr.evaluate(problem, engines=["physx"]).validated.success
+    export(exported_grasps(problem, closing="own"), program, tmp_path / "folder")
+    verdict = gr.evaluate(problem, engines=[engine]).validated.success
     script = [sys.executable, "-I", "-W", "ignore", str(tmp_path / "folder" / "simulate.py")]
     said = subprocess.run(script, cwd="/", capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     words = [f"grasp {k}: {'held' if success else 'lost'}" for k, success in enumerate(verdict)]

@@ -1,4 +1,4 @@
-"""Target `sapien`: URDF of hand and object with all convex pieces, and a script that simulates the grasps in SAPIEN.
+"""Targets `sapien` and `drake`: URDF of hand and object with all convex pieces, and a script that simulates the grasps.
 
 `task.npz` has, in the joints of `hand.urdf`:
 
@@ -44,13 +44,21 @@ NO_LIMIT = 1e30
 """Force limit of drives without one."""
 
 
-@dataclass(frozen=True)
-class Sapien:
-    """Folder for SAPIEN and ManiSkill; its URDFs are for any program."""
+PROGRAMS = {"sapien": ("SAPIEN", "sapien 3"), "drake": ("Drake", "drake")}
+"""Name of a target -> name of the program, and its package."""
 
-    name: str = "sapien"
-    what: str = "URDF of hand and object in convex pieces, for SAPIEN, ManiSkill and others, and a script"
+
+@dataclass(frozen=True)
+class UrdfFolder:
+    """Folder for SAPIEN and ManiSkill, or for Drake; its URDFs are for any program."""
+
+    name: str
     extra: str = ""
+
+    @property
+    def what(self) -> str:
+        """Contents of the folder in a line."""
+        return f"URDF of hand and object in convex pieces, and a script that simulates them in {PROGRAMS[self.name][0]}"
 
     def write(self, grasps: ExportedGrasps, folder: Path) -> Readme:
         """Write URDFs, meshes, the task and the script."""
@@ -58,13 +66,15 @@ class Sapien:
         bodies = Bodies.of(world)
         save_urdf(bodies, folder)
         save_npz(folder / "task.npz", _task(world, bodies, grasps))
-        save_text(folder / "simulate.py", files(__package__).joinpath("sapien_simulate.py").read_text(encoding="utf-8"))
+        script = files(__package__).joinpath(f"{self.name}_simulate.py").read_text(encoding="utf-8")
+        save_text(folder / "simulate.py", script)
+        program, package = PROGRAMS[self.name]
         return Readme(
             {
                 "hand.urdf": "the hand below six joints that move its root; hand.srdf names links that never touch",
                 "object.urdf": f"{grasps.name} in convex pieces, metres, its frame as in the grasps",
                 "task.npz": "joint names, drives, targets over time, pushes and limits of the task",
-                "simulate.py": "simulates the task in SAPIEN from these files alone; needs sapien 3 and numpy",
+                "simulate.py": f"simulates the task in {program} from these files alone; needs {package} and numpy",
             },
             use="python simulate.py",
             notes=(
