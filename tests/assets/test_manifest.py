@@ -19,6 +19,19 @@ from grasp_refine.core.errors import AssetError
 from refusals import refused
 
 KINDS = ("hands", "objects", "grasps")
+MODELS = (
+    "ability_{}",
+    "allegro_v5_{}",
+    "dex3_{}",
+    "dg5f_{}",
+    "inspire_{}",
+    "orca_{}",
+    "sharpa_{}_mjcf",
+    "wuji_{}_mjcf",
+)
+MODELS += ("xhand_{}",)
+NOT_MIRRORED = {"linkerhand_o7_right", *(model.format(side) for model in MODELS for side in ("left", "right"))}
+"""Hands that the shared folder does not have."""
 
 
 @cache
@@ -51,7 +64,8 @@ def files(entry: dict) -> Iterator[dict]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_shared_folder_is_a_mirror(shared_assets: Path, kind: str):
-    for name, entry in entries(kind).items():
+    known = {name: entry for name, entry in entries(kind).items() if name not in NOT_MIRRORED}
+    for name, entry in known.items():
         for file in files(entry):
             content = (shared_assets / file["mirror"]).read_bytes()
             assert hashlib.sha256(content).hexdigest() == file["mirror_sha256"], (name, file["path"])
@@ -85,7 +99,7 @@ def test_the_manifests_fit_their_schema(validator: jsonschema.Draft202012Validat
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_program_reads_what_the_manifests_say(kind: str):
     assets = read_manifest(kind)
-    assert len(assets) == {"hands": 8, "objects": 61, "grasps": 6}[kind]
+    assert len(assets) == {"hands": 27, "objects": 61, "grasps": 6}[kind]
     assert list(assets) == list(entries(kind))
     for name, entry in entries(kind).items():
         asset = assets[name]

@@ -146,6 +146,7 @@ def test_a_mesh_of_several_links_is_cut_and_mentioned_once(palm: Path) -> None:
     "filename",
     [
         "../meshes/wedge.stl",
+        "meshes/wedge.stl",
         "package://my_hand/meshes/wedge.stl",
         "package://other_name/meshes/wedge.stl",
         "{folder}/meshes/wedge.stl",
@@ -161,7 +162,7 @@ def test_mesh_addresses(package: Path, filename: str) -> None:
 @pytest.mark.parametrize(
     ("geometry", "named"),
     [
-        ('<mesh filename="none.stl"/>', ("'none.stl'", "/my_hand/urdf/none.stl")),
+        ('<mesh filename="none.stl"/>', ("'none.stl'", "/my_hand/urdf/none.stl", "/my_hand/none.stl")),
         ('<mesh filename="package://p/none.stl"/>', ("p/none.stl", " none.stl", "/my_hand/urdf ")),
         ('<mesh filename="http://a.b/c.stl"/>', ("'http://a.b/c.stl'", "file://", "package://")),
         ('<mesh filename="hand.urdf"/>', ("'.urdf'", ".obj, .stl")),

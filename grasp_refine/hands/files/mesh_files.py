@@ -53,7 +53,8 @@ def _read_collada(path: Path) -> trimesh.Trimesh:
 def resolve_mesh(filename: str, urdf: Path) -> Path:
     """Path of the file that a mesh's `filename` in the URDF file `urdf` refers to; nothing is fetched from a network.
 
-    A plain path is relative to the URDF. `package://NAME/REST` is searched as NAME/REST and as REST in
+    A plain path is relative to the URDF's folder, else to the folder above it, as in packages that keep URDFs in a
+    folder of their own beside `meshes`. `package://NAME/REST` is searched as NAME/REST and as REST in
     the URDF's folder and in every folder above it, nearest first. `file://PATH` is PATH.
 
     Raises:
@@ -66,8 +67,9 @@ def resolve_mesh(filename: str, urdf: Path) -> Path:
         tried = [place / path for place in (folder, *folder.parents) for path in (rest, inside)]
         where = f"{rest} and {inside} in {folder} and the folders above it (the package is '{name}')"
     elif scheme in ("", "file"):
-        tried = [folder / (unquote(rest) if scheme else rest)]
-        where = str(tried[0])
+        inside = unquote(rest) if scheme else rest
+        tried = list(dict.fromkeys((folder / inside, folder.parent / inside)))
+        where = " and ".join(map(str, tried))
     else:
         raise HandError(f"mesh '{filename}': only paths, file:// and package:// are read")
     found = next((path for path in tried if is_file(path)), None)
