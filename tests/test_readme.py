@@ -172,7 +172,7 @@ def test_the_table_of_grasp_files_is_complete():
 def test_the_options_are_as_in_the_commands(capsys: pytest.CaptureFixture[str]):
     known = set()
     methods = "run --solver levenberg-marquardt --solver descent --solver adam --derivative distance"
-    others = ("batch", "validate", "view", "hands", "scenes", "convert", "assets fetch", *BENCHES)
+    others = ("batch", "validate", "view", "hands", "scenes", "convert", "export", "assets fetch", *BENCHES)
     for command in ("run", methods, *others):
         with pytest.raises(SystemExit):
             main([*command.split(), "--help"])
@@ -180,6 +180,7 @@ def test_the_options_are_as_in_the_commands(capsys: pytest.CaptureFixture[str]):
     named = set(re.findall(r"`(--[a-z][\w.-]*)", TEXT)) | set(re.findall(r" (--[a-z][\w.]*-?[\w.]*) ", TEXT))
     elsewhere = {"--help", "--scheduler-file", "--nworkers", "--nthreads", "--parsable", "--wrap", "--strict", "--part"}
     elsewhere |= {"--faults", "--changed"}  # of the script that plants faults
+    elsewhere |= {"--once", "--stdin"}  # of ros2 topic pub
     assert {"--hand", "--transport", "--preset"} <= named and named - elsewhere <= known
 
 

@@ -44,6 +44,7 @@ OTHERS = {
     ".venv/bin/mkdocs": ".ci/run builds the documentation",
     ".venv/bin/refine-grasp run": "likewise",
     ".venv/bin/python allegro_mug_mujoco/simulate.py": "tests/export/test_export.py runs this script",
+    "ros2 topic pub": "no ROS is here; tests/export/test_ros2.py reads the messages",
     "dask ": "tests/dask_cluster.py starts such a cluster",
     "parts=$(sbatch": "no scheduler is here; what it runs is read below",
 }
@@ -137,7 +138,11 @@ def test_recipes_run(guide: str, newcomer: Path, capfd: pytest.CaptureFixture[st
         "my-dataset": ("refined/report.html", "grasp-refine-results/my_hand_my_object.npz"),
         "validate": ("grasp-refine-results/allegro_mug.npz", "replays"),
         "scenes": ("grasp-refine-results/allegro_mug.npz",),
-        "use-it-in": ("allegro_mug_mujoco/simulate.py", "allegro_mug_tables/contacts.csv"),
+        "use-it-in": (
+            "allegro_mug_mujoco/simulate.py",
+            "allegro_mug_tables/contacts.csv",
+            "allegro_mug_ros2/grasps/0.cdr",
+        ),
     }
     for name in made[guide]:
         assert (newcomer / name).exists(), name

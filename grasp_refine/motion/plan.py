@@ -149,6 +149,27 @@ def plan_motions(
     )
 
 
+def closing_paths(hand: Hand, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> tuple[HandPath, HandPath]:
+    """Return the paths through the three stages of a grasp: to the grasp, and to the squeeze.
+
+    Set points of the squeeze stay within the limits of joints that turn; sliding jaws press beyond theirs.
+
+    Args:
+        hand: The hand.
+        T: Poses (3, 4, 4) of its base link at the stages.
+        q: Its joint values (3, n) likewise.
+    """
+    pressing = np.where(hand.slides, q[2], np.clip(q[2], hand.lower, hand.upper))
+    return HandPath(T[:2], q[:2]), HandPath(T[1:], np.stack([q[1], pressing]))
+
+
+def up_of(scene: Scene) -> Float[np.ndarray, " 3"]:
+    """Return the unit vector (3,) of the lift, object frame."""
+    if scene.environment is not None:
+        return scene.environment.up
+    return np.asarray(UP if scene.table is None else scene.table.normal)
+
+
 def _check_start(hand: Hand, start: tuple[float, ...] | None) -> None:
     """Refuse a start that is no configuration of the arm.
 
@@ -223,13 +244,9 @@ class _Planner:
                 yield stages
 
     def plan(self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> MotionPlan:
-        """Return the plan through the three stages of a grasp.
-
-        Set points of its squeeze stay within the limits of joints that turn; sliding jaws press beyond theirs.
-        """
+        """Return the plan through the three stages of a grasp."""
         hand = self.scene.hand
-        pressing = np.where(hand.slides, q[2], np.clip(q[2], hand.lower, hand.upper))
-        close, squeeze = HandPath(T[:2], q[:2]), HandPath(T[1:], np.stack([q[1], pressing]))
+        close, squeeze = closing_paths(hand, T, q)
         allowed = self.sweep.depth_in_object(close) + CLOSING_DEPTH_M
         approach = self._approach(T[0], q[0], q[0] - q[1])
         if not approach.free:
@@ -241,24 +258,16 @@ class _Planner:
             return MotionPlan(PlanStatus.BLOCKED, f"{LEGS[1]}: {met}", tuple(legs), direction, met)
         legs += [squeeze]
         # Fingers are where the grasp has them, however far their set points are.
-        held, reached = straight(hand, T[1], q[1], self.options.lift * self.up)
-        legs += [HandPath(held.T_world_root, np.where(hand.arm_joints, held.q, pressing))]
+        held, reached = straight(hand, T[1], q[1], self.options.lift * up_of(self.scene))
+        legs += [HandPath(held.T_world_root, np.where(hand.arm_joints, held.q, squeeze.q[1]))]
         if not reached:
             first, last = palm_poses(hand, held.T_world_root[[0, -1]], held.q[[0, -1]])[:, :3, 3]
-            why = f"{LEGS[3]}: the arm lifts it by {(last - first) @ self.up:.2f} m only"
+            why = f"{LEGS[3]}: the arm lifts it by {(last - first) @ up_of(self.scene):.2f} m only"
             return MotionPlan(PlanStatus.OUT_OF_REACH, why, tuple(legs), direction)
         met = self.sweep.obstruction(held, allowed=None, carries=True)
         if met is not None:
             return MotionPlan(PlanStatus.BLOCKED, f"{LEGS[3]}: {met}", tuple(legs), direction, met)
         return MotionPlan(PlanStatus.FREE, "", tuple(legs), direction)
-
-    @property
-    def up(self) -> np.ndarray:
-        """Unit vector (3,) of the lift, object frame."""
-        scene = self.scene
-        if scene.environment is not None:
-            return scene.environment.up
-        return np.asarray(UP if scene.table is None else scene.table.normal)
 
     def _approach(
         self, T: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"], opening: Float[np.ndarray, " n"]
@@ -294,7 +303,7 @@ class _Planner:
         palm = palm_poses(hand, T[None], q[None])[0]
         links = self.prepared.chain(T[None], q[None]).T_world_link[0]
         tips = links[self.tips, :3, 3].mean(axis=0) if self.tips else links[:, :3, 3].mean(axis=0)
-        own, up = palm[:3, 3] - tips, self.up
+        own, up = palm[:3, 3] - tips, up_of(self.scene)
         length = float(np.linalg.norm(own))
         own = up if length < 1e-6 else own / length
         yield own

@@ -173,7 +173,7 @@ class RefinedGrasps:
         """Write the refined grasps for another program into a new folder, of several objects into one for each.
 
         Args:
-            to: Name of the program or format, of `export.targets.TARGETS`: "mjcf", "csv", "parquet".
+            to: Name of the program or format, one of `export.targets.TARGETS`, such as "mjcf" or "ros2".
             folder: New folder.
 
         Returns:
