@@ -1,9 +1,11 @@
-"""TOML files from untrusted sources, read with bounded memory."""
+"""TOML files: from untrusted sources, read with bounded memory, and written."""
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -50,3 +52,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(text)
     except RecursionError:
         raise ValueError("its lists or tables are nested too deep") from None
+
+
+def toml_text(entry: Mapping[str, Any], table: str = "") -> str:
+    """Return an entry as TOML: values, which are numbers, strings and lists as in JSON, and then tables."""
+    entry = {key: value for key, value in entry.items() if value is not None}
+    flat = {key: value for key, value in entry.items() if not isinstance(value, Mapping)}
+    lines = [f"[{table}]"] if table else []
+    lines += [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in flat.items()]
+    inner = [toml_text(value, f"{table}.{key}" if table else key) for key, value in entry.items() if key not in flat]
+    return "\n".join(["\n".join(lines), *inner]) + ("\n" if lines and not inner else "")

@@ -10,6 +10,8 @@ import numpy as np
 
 from grasp_refine.closing.motion import STAGES
 from grasp_refine.core.array_types import Shaped
+from grasp_refine.core.json_files import save_text
+from grasp_refine.core.toml_file import toml_text
 from grasp_refine.export.exported import ExportedGrasps
 from grasp_refine.export.target import Readme
 from grasp_refine.grasps.grasp_set import POSE_COLUMNS
@@ -27,7 +29,11 @@ class Table:
     def write(self, grasps: ExportedGrasps, folder: Path) -> Readme:
         """Write `grasps` and, where forces are known, `contacts`."""
         save_table(folder / f"grasps.{self.name}", _rows(grasp_columns(grasps)))
-        files = {f"grasps.{self.name}": "one row a grasp; the grasp itself has plain names, the other stages a prefix"}
+        save_text(folder / "grasps.toml", _mapping(f"grasps.{self.name}", grasps))
+        files = {
+            f"grasps.{self.name}": "one row a grasp; the grasp itself has plain names, the other stages a prefix",
+            "grasps.toml": "what its columns are; refine-grasp reads it back by this file",
+        }
         if grasps.forces is not None and len(grasps.forces):
             save_table(folder / f"contacts.{self.name}", _rows(grasps.forces.columns()))
             files[f"contacts.{self.name}"] = "one row a contact of the squeeze; grasp is the row of the other table"
@@ -57,6 +63,23 @@ def grasp_columns(grasps: ExportedGrasps) -> dict[str, Shaped[np.ndarray, " N"]]
         )
         columns |= {prefix + column: values for pairs in both for column, values in pairs}
     return columns | dict(grasps.values)
+
+
+def _mapping(table: str, grasps: ExportedGrasps) -> str:
+    """Return the TOML file by which format `table` reads the grasps back."""
+    return toml_text(
+        {
+            "table": table,
+            "hand": grasps.hand.name,
+            "base_link": grasps.hand.base_link,
+            "position": POSE_COLUMNS[:3],
+            "rotation": POSE_COLUMNS[3:],
+            "notation": "wxyz",
+            "joints": grasps.hand.joint_names,
+            "object_column": "object",
+            "scale_column": "scale",
+        }
+    )
 
 
 def _rows(columns: Mapping[str, np.ndarray]) -> list[dict[str, object]]:

@@ -12,7 +12,7 @@ from grasp_refine.core.arguments import is_number
 from grasp_refine.core.errors import GraspRefineError, did_you_mean, quote_value
 from grasp_refine.core.json_files import check_writable, save_text
 from grasp_refine.core.names import exists, expand_user
-from grasp_refine.core.toml_file import UNREADABLE, read_toml
+from grasp_refine.core.toml_file import UNREADABLE, read_toml, toml_text
 from grasp_refine.grasps.provenance import read_provenance
 from grasp_refine.objects.region import Region
 from grasp_refine.objects.region_spec import check_spec, is_spec, resolve_spec
@@ -79,7 +79,7 @@ def save_task(task: Task, path: str | Path, *, overwrite: bool = False) -> None:
             raise GraspRefineError(f"{path}: {name} {made[0]} was made in memory: it has no specification")
     if (protocol := task.named_protocol) is not None and protocol in PROTOCOLS.values():
         entry["protocol"] = protocol.name
-    save_text(path, _toml(entry))
+    save_text(path, toml_text(entry))
 
 
 def task_entry(task: Task) -> dict[str, Any]:
@@ -237,13 +237,3 @@ def _path_text(name: str, folder: Path) -> str:
     """Return a name, or the path of a file that lies beside."""
     path = folder / expand_user(Path(name))
     return str(path.absolute()) if Path(name).suffix and exists(path) else name
-
-
-def _toml(entry: Mapping[str, Any], table: str = "") -> str:
-    """Return values and then tables of an entry as TOML."""
-    entry = {key: value for key, value in entry.items() if value is not None}
-    flat = {key: value for key, value in entry.items() if not isinstance(value, Mapping)}
-    lines = [f"[{table}]"] if table else []
-    lines += [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in flat.items()]
-    inner = [_toml(value, f"{table}.{key}" if table else key) for key, value in entry.items() if key not in flat]
-    return "\n".join(["\n".join(lines), *inner]) + ("\n" if lines and not inner else "")

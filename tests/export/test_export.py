@@ -92,6 +92,9 @@ def test_a_table_has_joints_by_name_those_that_follow_too_and_the_planned_forces
         assert float(row["l"]) == q[0] and float(row["r"]) == -q[0]
         assert float(row["pregrasp_r"]) == -open_q[0]
         assert float(row["quality"]) > 0.5
+    again = gr.load_grasps(folder / "grasps.toml", hand=gripper)
+    np.testing.assert_allclose(again.hand_pose, refined.after.hand_pose, rtol=0.0, atol=1e-15)
+    assert again.q.tolist() == refined.after.q.tolist() and again.joint_names == refined.after.joint_names
     with (folder / "contacts.csv").open() as file:
         contacts = list(csv.DictReader(file))
     for number in range(2):
