@@ -173,6 +173,7 @@ if TYPE_CHECKING:
     from grasp_refine.scene.task import Task as Task
     from grasp_refine.scene.task_file import load_task as load_task
     from grasp_refine.scene.task_file import save_task as save_task
+    from grasp_refine.transfers.key_points import KeyPoints as KeyPoints
     from grasp_refine.validation.margins.factors import Factors as Factors
     from grasp_refine.witness.analytical import Analytical as Analytical
     from grasp_refine.witness.autograd import WitnessLayer as WitnessLayer
@@ -297,6 +298,7 @@ _HOMES = {
         "load_task",
         "save_task",
     ),
+    "transfers.key_points": ("KeyPoints",),
     "validation.margins.factors": ("Factors",),
     "witness.autograd": ("WitnessLayer",),
     "witness.contact_kinematics": ("ContactKinematics",),

@@ -25,7 +25,7 @@ from grasp_refine.problem.margins import GraspMargins, problem_margins
 from grasp_refine.problem.problem import Group, Problem, scene_of
 from grasp_refine.problem.refine import Listener, refine_problem, simulate_refined
 from grasp_refine.problem.refined import RefinedGrasps
-from grasp_refine.problem.transferred import transferred
+from grasp_refine.problem.transferred import at_rest, transferred
 from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.terms.term import Term
@@ -33,8 +33,10 @@ from grasp_refine.results.console import html_of, text_of
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.validation_table import validation_table
 from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.task import Task
 from grasp_refine.scene.task_file import as_task
+from grasp_refine.transfers.key_points import KeyPoints
 from grasp_refine.validation.engine_table import MUJOCO, EngineChoice, chosen_engines
 from grasp_refine.validation.margins.factors import Factors
 from grasp_refine.validation.validate import Validated, validate
@@ -151,7 +153,7 @@ def refine(
 
 
 def transfer(
-    hand: Hand | Problem,
+    hand: Hand | Problem | KeyPoints,
     object: Object | Mesh | None = None,
     grasps: GraspSet | None = None,
     *,
@@ -172,7 +174,8 @@ def transfer(
     side; then the grasps are refined as of `refine`.
 
     Args:
-        hand: The hand of the grasps; or a problem of `load_problem`, which has object and grasps.
+        hand: The hand of the grasps; or a problem of `load_problem`, which has object and grasps; or the grasps of a
+            human hand, `KeyPoints`.
         object: The object, or its mesh as for `load_object`, in metres.
         grasps: N grasps on it.
         to: The other hand.
@@ -186,6 +189,12 @@ def transfer(
     """
     check_kind("to", to, Hand)
     check_kind("config", config, Config | None)
+    if isinstance(hand, KeyPoints):
+        if object is None or grasps is not None:
+            raise GraspRefineError("key points are grasps: give them and their object alone")
+        obj, (T, q), rows = as_object("object", object), at_rest(to, len(hand)), np.arange(len(hand))
+        places = Group(obj.name, 1.0, Scene(to, obj, T, q, task=as_task(task)), GraspSet.of(to, T, q), rows, rows, rows)
+        return refine_problem(transferred(Problem(to, (), (places,), ()), to, hand), config, listener=listener)
     problem = _problem(hand, object, grasps, task, as_is=as_is)
     return refine_problem(transferred(problem, to), config, listener=listener)
 

@@ -9,9 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
+from grasp_refine.core.array_records import take
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.profiling import stage
+from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.geometry.decomposition import Decomposition
+from grasp_refine.grasps.formats.ours import Ours
 from grasp_refine.grasps.formats.reading import Reading, reading
 from grasp_refine.grasps.grasp_set import GraspSet, Targets, load_grasps, match_joints
 from grasp_refine.grasps.rows import choose_rows
@@ -28,10 +31,11 @@ from grasp_refine.problem.problem import Group, Problem, scene_of
 from grasp_refine.problem.recorded_objects import Recorded
 from grasp_refine.problem.sampled import check_sampled, with_samples
 from grasp_refine.problem.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
-from grasp_refine.problem.transferred import to_transfer, with_transfers
+from grasp_refine.problem.transferred import at_rest, to_transfer, with_transfers
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene_file import load_scene
 from grasp_refine.scene.task_spec import NO_SCENE
+from grasp_refine.transfers.key_points import MANO, KeyPoints, load_key_points
 
 
 def _ignore(message: str) -> None:
@@ -198,10 +202,21 @@ class Loader:
         """
         spec = self.spec
         assert spec.hand is not None  # or `check` refuses
-        source = replace(self, spec=spec.of_source()).of_grasps(read, path)
         hand = self.hands.simulated(self.hands.load(spec.hand, None if spec.stands else spec.base_link))
         check_collides(hand)
-        groups = tuple(to_transfer(group, hand) for group in source.groups)
+        own, points = spec.of_source(), None
+        if spec.transfer_from == MANO:
+            # Grasps without a hand of ours: until they are transferred, the hand itself has their places.
+            points, old = KeyPoints(read.grasps.q.reshape(len(read.grasps), -1, 3)), read.grasps
+            T, q = at_rest(hand, len(old))
+            pose = pose_from_transform(T)
+            places = GraspSet(hand.name, hand.base_link, hand.joint_names, old.object, old.scale, pose, q)
+            own, read = replace(own, hand=spec.hand, base_link=hand.base_link), replace(read, grasps=places)
+        source, task = replace(self, spec=own).of_grasps(read, path), spec.read_task(self._scene)
+        groups = tuple(
+            to_transfer(group, hand, task, group.scene if points is None else take(points, group.rows))
+            for group in source.groups
+        )
         problem = Problem(self.hands.on_arm(spec.hand, hand), source.files, groups, (*source.notes, *hand.notes))
         check_base(problem)
         return problem
@@ -298,6 +313,8 @@ class Loader:
         """Return the grasps of a file, or of a folder, of any format."""
         spec = self.spec
         # Our files name their joints; for others the columns may follow from the hand.
+        if spec.transfer_from == MANO:
+            return Reading(load_key_points(path), Ours(), (path,), ())
         own = spec if spec.transfer_from is None else spec.of_source()
         hand = None if own.hand is None or path.suffix == ".npz" else replace(self, spec=own).hands.load(own.hand, None)
         return reading(path, format=spec.format, hand=hand)

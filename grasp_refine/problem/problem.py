@@ -18,6 +18,7 @@ from grasp_refine.objects.object import Object
 from grasp_refine.scene.scene import Scene, links_of
 from grasp_refine.scene.task import Task
 from grasp_refine.scene.task_file import as_task
+from grasp_refine.transfers.key_points import KeyPoints
 
 StageSource = Literal["auto", "file", "own"]
 """Source of pregrasps and squeezes."""
@@ -41,7 +42,7 @@ class Group:
     """Numbers of the grasps (N,) within their object."""
     place: np.ndarray
     """Positions of the grasps (N,) among all requested ones."""
-    source: Scene | None = None
+    source: Scene | KeyPoints | None = None
     """Grasps of another hand that these are to be transferred from; until then there are as many placeholders."""
 
     @property

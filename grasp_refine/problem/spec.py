@@ -61,7 +61,9 @@ class SourceSpec(HandSpec, TaskSpec):
     an asset such as hands/leap, or robot_descriptions/NAME. By default the hand of the grasp file."""
     transfer_from: str | None = None
     """Hand of the grasp file, named like `hand`, where its grasps are to be transferred to `hand`: its fingers touch
-    where the fingers of that hand do, and come from the same side."""
+    where the fingers of that hand do, and come from the same side. mano: a human hand, whose file has 21 key points
+    (N, 21, 3) or MANO's vertices (N, 778, 3) in the object's frame, metres: an .npy, or an .npz with key_points or
+    vertices, and object and scale."""
     arm: str | None = None
     """Arm that carries the hand, and whose base stands still: ur5e, or a URDF, MJCF, folder or asset, as for a hand.
     Where the hand's own file has the arm, `base` alone. By default none: the hand floats."""

@@ -17,21 +17,34 @@ from grasp_refine.objects.object import Object
 from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from grasp_refine.transfers.hand_frame import HandFrame
+from grasp_refine.transfers.key_points import MANO, KeyPoints
 from grasp_refine.transfers.mirror import mirror_plane, mirrored
 from grasp_refine.transfers.source_grasps import SourceGrasps, source_grasps
 from grasp_refine.transfers.transfer import transfer_grasps
 
 
-def to_transfer(group: Group, hand: Hand) -> Group:
-    """Return a group whose grasps are to be transferred to a hand; until then that is at rest at the origin."""
-    count = len(group.rows)
-    T, q = np.tile(np.eye(4), (count, 1, 1)), np.tile(hand.rest, (count, 1))
-    return _group(group, hand, T, q, source=group.scene)
+def to_transfer(group: Group, hand: Hand, task: Task, source: Scene | KeyPoints) -> Group:
+    """Return a group whose grasps are to be transferred to a hand; until then that is at rest at the origin.
+
+    Args:
+        group: Object and numbers of the grasps.
+        hand: The hand.
+        task: What the grasps must do, and where.
+        source: Grasps of another hand.
+    """
+    T, q = at_rest(hand, len(group.rows))
+    return _group(replace(group, scene=replace(group.scene, task=task)), hand, T, q, source)
 
 
-def transferred(problem: Problem, hand: Hand) -> Problem:
-    """Return the grasps of a problem transferred to a hand.
+def at_rest(hand: Hand, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return `count` poses (N, 4, 4) and joint values (N, n) of a hand at rest at the origin."""
+    return np.tile(np.eye(4), (count, 1, 1)), np.tile(hand.rest, (count, 1))
+
+
+def transferred(problem: Problem, hand: Hand, points: KeyPoints | None = None) -> Problem:
+    """Return the grasps of a problem, or in their places the grasps of a human hand, transferred to a hand.
 
     Raises:
         GraspRefineError: one of the hands is on an arm, or cannot grip.
@@ -39,7 +52,10 @@ def transferred(problem: Problem, hand: Hand) -> Problem:
     for one in (problem.hand, hand):
         if one.arm is not None:
             raise GraspRefineError(f"{one.name} is on an arm: transfer grasps of the hand alone, then mount the hand")
-    groups = tuple(to_transfer(group, hand) for group in problem.groups)
+    groups = tuple(
+        to_transfer(group, hand, group.scene.task, group.scene if points is None else take(points, group.rows))
+        for group in problem.groups
+    )
     return with_transfers(replace(problem, hand=hand, groups=groups, notes=(*problem.notes, *hand.notes)))
 
 
@@ -53,26 +69,29 @@ def with_transfers(problem: Problem) -> Problem:
     sources = [group.source for group in problem.groups if group.source is not None]
     assert len(sources) == len(problem.groups)
     objects, number = index_distinct([group.scene.object for group in problem.groups])
-    parts, notes = [], []
-    for scene in sources:
-        part, some_notes = _on_side(source_grasps(scene), hand, scene.object)
+    parts, notes = list[SourceGrasps](), list[str]()
+    for group, source in zip(problem.groups, sources, strict=True):
+        obj = group.scene.object
+        found = source_grasps(source) if isinstance(source, Scene) else source.source_grasps(obj)
+        part, some_notes = _on_side(found, hand, obj)
         parts.append(part)
         notes += some_notes
-    found = transfer_grasps(
-        join(*parts),
-        HandObject(hand, objects[0], others=objects[1:]),
-        np.repeat(number, [len(group.rows) for group in problem.groups]),
-        (sources[0].hand, np.concatenate([scene.q for scene in sources])),
-    )
+    scenes = [source for source in sources if isinstance(source, Scene)]
+    joints = (scenes[0].hand, np.concatenate([scene.q for scene in scenes])) if scenes else None
+    prepared = HandObject(hand, objects[0], others=objects[1:])
+    counts = [len(group.rows) for group in problem.groups]
+    moved = transfer_grasps(join(*parts), prepared, np.repeat(number, counts), joints)
     groups, begin = [], 0
     for group in problem.groups:
-        some = take(found, slice(begin, begin + len(group.rows)))
+        some = take(moved, slice(begin, begin + len(group.rows)))
         begin += len(group.rows)
         placed = _group(group, hand, some.T, some.q, source=None)
         aims: dict[str, Any] = {"target_link": some.target_link, "target_object": some.target_object}
         aims = {} if np.isnan(some.target_link).all() else aims
         groups.append(replace(placed, scene=replace(placed.scene, original=some.original, **aims)))
-    note = f"{count_text(len(problem), 'grasp')} of {sources[0].hand.name} transferred to {hand.name}"
+    note = (
+        f"{count_text(len(problem), 'grasp')} of {scenes[0].hand.name if scenes else MANO} transferred to {hand.name}"
+    )
     return replace(problem, groups=tuple(groups), notes=tuple(dict.fromkeys((*problem.notes, note, *notes))))
 
 
@@ -93,7 +112,7 @@ def _on_side(grasps: SourceGrasps, hand: Hand, obj: Object) -> tuple[SourceGrasp
     ]
 
 
-def _group(group: Group, hand: Hand, T: np.ndarray, q: np.ndarray, source: Scene | None) -> Group:
+def _group(group: Group, hand: Hand, T: np.ndarray, q: np.ndarray, source: Scene | KeyPoints | None) -> Group:
     """Return a group with other grasps, of a hand, on the same object."""
     old = group.grasps
     grasps = GraspSet(hand.name, hand.base_link, hand.joint_names, old.object, old.scale, pose_from_transform(T), q)

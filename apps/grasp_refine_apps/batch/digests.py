@@ -21,6 +21,7 @@ from grasp_refine.results.document import settings
 from grasp_refine.results.result_files import fingerprint
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.protocol_file import load_protocol
+from grasp_refine.transfers.key_points import MANO
 
 LAYOUT_VERSION = 1
 """Version of the layout of result files; a new number makes all results outdated."""
@@ -75,7 +76,7 @@ class Digests:
             AssetError, HandError: there is no such hand, or it cannot be read.
         """
         hand = self._robot(source, inputs.urdf, inputs.mjcf, say)
-        if inputs.transfer_from is not None:
+        if inputs.transfer_from not in (None, MANO):
             hand = hand[0], sha256_of([hand[1], self._robot(inputs.transfer_from, None, None, say)[1]])
         if inputs.arm is None:
             return hand
