@@ -20,6 +20,7 @@ _HOMES = {
     "sapien": ("urdf_folder", "UrdfFolder"),
     "drake": ("urdf_folder", "UrdfFolder"),
     "usd": ("usd", "Usd"),
+    "isaac_grasp": ("isaac", "Isaac"),
     "ros2": ("ros2", "Ros2"),
     "csv": ("table", "Table"),
     "parquet": ("table", "Table"),
