@@ -48,8 +48,7 @@ class Convert:
     ours: one .npz file with everything. dexgraspbench, dexonomy, hugs: folders with one .npy file per grasp. bodex,
     dexgraspnet: folders with one .npy file per object. leap_cache: one .npy file of the LEAP hand with a cube.
     multidex, dro: one .pt file. graspqp: a folder with one .pt file per object. isaac_grasp (.yaml), lightning_grasp
-    (.pt), acronym (.h5), multigripper (.json): one file per object. unidexgrasp, frogger, graspm3, table: read
-    only.
+    (.pt), acronym (.h5), multigripper (.json): one file per object. The others are read only.
 
     Before a file takes its place, it is read again: fingertips must agree to 1e-6 m, which shows that nothing was lost
     in the conversion; poses and joints where the hand is unknown. A folder is never replaced. Pickles and torch

@@ -10,6 +10,7 @@ from grasp_refine.grasps.formats.dexgraspbench import DexGraspBench
 from grasp_refine.grasps.formats.dexgraspnet import DexGraspNet
 from grasp_refine.grasps.formats.dexonomy import Dexonomy
 from grasp_refine.grasps.formats.dro import DRO
+from grasp_refine.grasps.formats.equidexflow import EquiDexFlow
 from grasp_refine.grasps.formats.format import Format, check_format
 from grasp_refine.grasps.formats.frogger import Frogger
 from grasp_refine.grasps.formats.graspm3 import GraspM3
@@ -46,6 +47,7 @@ FORMATS: Registry[Format] = Registry(
         Acronym(),
         MultiGripperGrasp(),
         GraspM3(),
+        EquiDexFlow(),
         Table(),
     ),
     name_of=lambda known: known.name,

@@ -207,7 +207,11 @@ class _Mapping:
             return np.arange(len(position)), []
         if not self.has("episode"):
             raise self.source.error(f"frame = {frame!r} takes episode, the column that numbers the episodes")
-        episodes = self.column("episode").ravel()
+        episodes = self.column("episode")
+        if episodes.dtype.kind not in "US":
+            episodes = self.source.finite(episodes, f"column {self.held['episode']}")
+        if episodes.ndim != 1:
+            raise self.source.error(f"column {self.held['episode']} must have one value per row")
         found = []
         for value in dict.fromkeys(episodes.tolist()):
             rows = np.flatnonzero(episodes == value)

@@ -21,6 +21,8 @@ def frames_before_lift(position: Float[np.ndarray, "N T 3"]) -> Int[np.ndarray, 
     Args:
         position: Positions of the hand in a world at rest, z upwards, metres.
     """
+    if position.shape[1] == 1:
+        return np.zeros(len(position), dtype=int)
     step = np.diff(position, axis=1)
     length = np.linalg.norm(step, axis=-1)
     moves = length > STILL_M

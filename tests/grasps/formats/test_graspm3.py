@@ -91,6 +91,7 @@ def test_a_hand_that_lifts_nothing_has_its_grasp_at_the_end():
     position[2, :6, 2] = np.linspace(0.2, 0, 6)  # comes down, then stands
     position[3, 3:7, 2], position[3, 7:, 2] = 0.01 * np.arange(4), 0.03  # lifts, then waits
     assert frames_before_lift(position).tolist() == [9, 4, 9, 3]
+    assert frames_before_lift(position[:, :1]).tolist() == [0] * 4
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from grasp_refine.core.errors import GraspFileError
+from grasp_refine.grasps.formats import parquet_files
 from grasp_refine.grasps.formats.reading import is_other, reading
 from refusals import refused
 
@@ -245,10 +246,20 @@ def test_a_table_that_is_damaged_is_named(tmp_path: Path):
 
 
 def test_parquet_that_would_unpack_to_far_more_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("grasp_refine.grasps.formats.columns.MAX_NUMBERS", 10_000)
-    pq.write_table(pa.table({"a": np.zeros(20_000)}), tmp_path / "t.parquet", use_dictionary=True)
+    pq.write_table(pa.table({"a": np.zeros(20_000), "b": np.zeros(20_000)}), tmp_path / "t.parquet")
+    monkeypatch.setattr(parquet_files, "MAX_NUMBERS", 20_000)
+    assert len(parquet_files.parse_parquet([tmp_path / "t.parquet"], ["a"])[0]["a"]) == 20_000
+    with refused(GraspFileError, "t.parquet", "20000"):
+        parquet_files.parse_parquet([tmp_path / "t.parquet"], ["a", "b"])
+
+
+def test_a_file_that_ends_its_library_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "pyarrow").mkdir()
+    (tmp_path / "pyarrow/__init__.py").write_text("import os; os.abort()")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    (tmp_path / "t.parquet").write_bytes(b"PAR1")
     keys: dict[str, Any] = {"base_link": "palm", "position": ["a", "a", "a"], "rotation": "a", "joints": {}}
-    with refused(GraspFileError, "t.parquet", "10000"):
+    with refused(GraspFileError, "t.parquet", "-6"):
         reading(toml(tmp_path / "mine.toml", table="t.parquet", **keys))
 
 
