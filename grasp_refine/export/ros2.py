@@ -58,13 +58,13 @@ class Ros2:
             _save(folder / "trajectories" / str(row), TRAJECTORY, trajectory_message(grasps, timed), ends)
         palm = hand.palm if hand.arm is not None else hand.base_link
         followers = [name for name in grasps.joint_names if name not in hand.joint_names]
-        beyond = [f"grasp {row} is left out: {plan.why}" for row, plan in enumerate(plans) if plan.direction is None]
+        beyond = [f"Grasp {row} is left out: {plan.why}." for row, plan in enumerate(plans) if plan.direction is None]
         blocked = [
-            f"Grasp {row}: {plan.why}; its trajectory only closes the hand"
+            f"The motion of grasp {row} is not free: {plan.why}."
             for row, plan in enumerate(plans)
             if plan.direction is not None and not plan.free
         ]
-        moves = "with the arm, from the approach to the lift" if hand.arm is not None else "from the pregrasp on"
+        moves = "from the pregrasp on" if hand.arm is None else "from the approach, or where it is blocked the pregrasp"
         return Readme(
             {
                 "grasps/K.yaml, grasps/K.cdr": f"{GRASP} of grasp K",

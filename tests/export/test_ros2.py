@@ -251,7 +251,7 @@ def test_grasps_without_numbers_are_left_out_and_named(hand: Hand, tmp_path: Pat
     broken = replace(part, scene=replace(part.scene, q=q[:, 1]), motion=Motion(part.motion.T_world_root, q))
     (folder,) = export([broken], "ros2", tmp_path / "one")
     assert [path.name for path in sorted((folder / "grasps").iterdir())] == ["1.cdr", "1.yaml"]
-    assert "grasp 0 is left out" in (folder / "README.md").read_text()
+    assert "Grasp 0 is left out" in (folder / "README.md").read_text()
     q[:] = np.nan
     with refused(GraspRefineError, "a ball"):
         export([broken], "ros2", tmp_path / "none")
@@ -264,7 +264,7 @@ def test_an_obstacle_in_the_way_leaves_the_fingers_part_and_is_named(hand: Hand,
     scene, motion = grasp(hand, *posts)
     part = ExportedGrasps("ball", 1.0, scene, motion, np.array([0]))
     (folder,) = export([part], "ros2", tmp_path / "blocked")
-    assert "Grasp 0: approach" in (folder / "README.md").read_text()
+    assert "grasp 0 is not free: approach" in (folder / "README.md").read_text()
     moves = decoded(folder / "trajectories" / "0.cdr", TRAJECTORY)
     np.testing.assert_array_equal(moves.points[0].positions, motion.q[0, 0])
     assert 0.0 == decoded(folder / "grasps" / "0.cdr", GRASP).max_contact_force
