@@ -32,7 +32,7 @@ def example_grasps(spec: ProblemSpec, check_hand: Callable[[str, str | None], ob
     Raises:
         GraspRefineError: there are none.
     """
-    hand = spec.hand or EXAMPLE_HAND
+    hand = spec.grasp_hand or EXAMPLE_HAND
     if hand not in list_hands():
         check_hand(hand, None)
         complete = [name for name in list_hands() if not needs_urdf(name)]

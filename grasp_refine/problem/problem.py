@@ -50,6 +50,11 @@ class Group:
         """Name and scale of the object in the grasp file."""
         return self.object, float(self.grasps.scale[0]) if len(self.grasps) else self.scale
 
+    def select(self, rows: np.ndarray) -> Group:
+        """Return the grasps `rows` of the group, in that order."""
+        parts = {name: getattr(self, name)[rows] for name in ("rows", "index", "place")}
+        return replace(self, scene=self.scene.select(rows), grasps=self.grasps.select(rows), **parts)
+
     def on(self, obj: Object) -> Group:
         """Return the grasps on another object."""
         return replace(self, scene=replace(self.scene, object=obj))

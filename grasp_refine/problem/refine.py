@@ -7,8 +7,10 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from grasp_refine.closing.motion import Motion, closing_motion
-from grasp_refine.core.array_records import take
+from grasp_refine.core.array_records import join, take
 from grasp_refine.hands.self_collision import ignored_overlaps
 from grasp_refine.measures.measures import SIDES
 from grasp_refine.problem.input_cache import InputCache
@@ -30,6 +32,13 @@ from grasp_refine.validation.trials import Trials
 
 if TYPE_CHECKING:
     from grasp_refine.validation.engines.mujoco.world import World
+
+
+WORTH_MOVING = 0.1
+"""Quality by which a transferred grasp must be better away from its original's contacts, unless it is good enough."""
+
+EFFORT = ("starts", "iterations", "queries", "cpu_s", "wall_s")
+"""Measures of the effort of a refinement."""
 
 
 class Listener:
@@ -95,11 +104,48 @@ def refine_groups(groups: Sequence[Group], config: Config, listener: Listener) -
     Raises:
         GraspRefineError: a link that should touch does not exist.
     """
-    return [
+    parts = [
         part
         for some in sets_of(groups, config)
         for part in refine_together(some, config, progress=listener.refining(some), on_note=listener.note)
     ]
+    return _without_targets(groups, parts, config, listener)
+
+
+def _without_targets(
+    groups: Sequence[Group], parts: Sequence[Outcome], config: Config, listener: Listener
+) -> list[Outcome]:
+    """Return outcomes in which transferred grasps that hardly hold at their originals' contacts are refined without.
+
+    A grasp without targets counts where it is good enough, or better by `WORTH_MOVING`.
+    """
+    weak = [
+        np.flatnonzero(~(part.quality[:, 1] >= config.confidence) & part.aimed)
+        if group.scene.original is not None and config.holds
+        else np.zeros(0, dtype=np.int64)
+        for group, part in zip(groups, parts, strict=True)
+    ]
+    again = [group.select(rows) for group, rows in zip(groups, weak, strict=True) if len(rows)]
+    free = [replace(group, scene=replace(group.scene, target_link=None, target_object=None)) for group in again]
+    found = iter(
+        part for some in sets_of(free, config) for part in refine_together(some, config, on_note=listener.note)
+    )
+    return [
+        _better(part, rows, next(found), config) if len(rows) else part for part, rows in zip(parts, weak, strict=True)
+    ]
+
+
+def _better(first: Outcome, rows: np.ndarray, second: Outcome, config: Config) -> Outcome:
+    """Return an outcome with those of its `rows` that a second refinement made better; effort is that of both."""
+    quality, before = np.nan_to_num(second.quality[:, 1]), np.nan_to_num(first.quality[rows, 1])
+    better = (quality >= config.confidence) | (quality > before + WORTH_MOVING)
+    place = np.arange(len(first))
+    place[rows[better]] = len(first) + np.flatnonzero(better)
+    effort = {name: first[name].copy() for name in EFFORT}
+    for name, values in effort.items():
+        values[rows] += second[name]
+    found = take(join(first, second), place)
+    return replace(found, measures={**found.measures, **effort})
 
 
 def refine_group(

@@ -257,7 +257,7 @@ def load_case(case: Case, seed: int, cache: InputCache, *, shrink: bool = False)
     groups = []
     for group in problem.groups:
         rows, scene = np.arange(len(group.rows))[: case.count], replace(group.scene, target_link=None)
-        groups.append(_select(replace(group, scene=replace(scene, target_object=None)), rows))
+        groups.append(replace(group, scene=replace(scene, target_object=None)).select(rows))
     return placed(problem, groups), factor
 
 
@@ -285,13 +285,6 @@ def placed(problem: Problem, groups: list[Group]) -> Problem:
         replace(group, place=np.arange(end - len(group.rows), end)) for group, end in zip(groups, ends, strict=True)
     ]
     return replace(problem, groups=tuple(groups))
-
-
-def _select(group: Group, rows: np.ndarray) -> Group:
-    if len(rows) == len(group.rows):
-        return group
-    parts = {name: getattr(group, name)[rows] for name in ("rows", "index", "place")}
-    return replace(group, scene=group.scene.select(rows), grasps=group.grasps.select(rows), **parts)
 
 
 def perturbed(group: Group, seed: int) -> Group:

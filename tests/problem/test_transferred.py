@@ -1,0 +1,39 @@
+"""Refinement of transfers: where the contacts of the original do not hold, the grasp may leave them, and says so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from grasp_refine.problem import refine as module
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.refine import Listener, refine_groups
+from grasp_refine.problem.spec import ProblemSpec
+from grasp_refine.refinement.config import Config
+
+
+@pytest.mark.parametrize("confidence", [0.5, 0.9999])
+def test_only_weak_transfers_are_refined_again_without_targets(confidence: float, monkeypatch: pytest.MonkeyPatch):
+    """Each is at least as good as with its targets, and the effort of both is counted."""
+    problem = load_problem(ProblemSpec(hand="allegro", transfer_from="shadow"))
+    config, calls = Config(confidence=confidence), []
+    plain = module.refine_together
+
+    def counted(groups, *arguments, **named):
+        found = plain(groups, *arguments, **named)
+        calls.append((groups, found))
+        return found
+
+    monkeypatch.setattr(module, "refine_together", counted)
+    (outcome,) = refine_groups(problem.groups, config, Listener())
+    (_, (first,)), *more = calls
+    weak = first.quality[:, 1] < config.confidence
+    assert len(more) == int(weak.any())
+    np.testing.assert_array_equal(outcome.quality[~weak], first.quality[~weak])
+    np.testing.assert_array_equal(outcome["iterations"][~weak], first["iterations"][~weak])
+    if weak.any():
+        ((again,), _) = more[0]
+        assert again.scene.target_link is None
+        assert again.rows.tolist() == np.flatnonzero(weak).tolist()
+        assert (outcome["iterations"][weak] > first["iterations"][weak]).all()
+        assert (outcome.quality[:, 1] >= first.quality[:, 1]).all()
