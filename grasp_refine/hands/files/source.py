@@ -14,6 +14,7 @@ from grasp_refine.assets.robot_descriptions import PREFIX, described
 from grasp_refine.core.errors import AssetError, GraspFileError, HandError
 from grasp_refine.core.names import exists, expand_user, is_file
 from grasp_refine.hands.files.hand_toml import ARM_TOML, HAND_TOML, HandToml, only_file, read_hand_toml
+from grasp_refine.hands.files.usd import is_usd, urdf_of_usd
 
 ON_ARM = "_on_"
 """Separator of the names of a hand and its arm in the name of both."""
@@ -120,4 +121,6 @@ def _locate(source: str | Path, urdf: Path | None, on_message: Callable[[str], N
     if urdf is not None:
         raise HandError(f"`urdf={urdf}`: goes with a hand that has a {HAND_TOML}, '{source}' has none")
     file = only_file(path) if path.is_dir() else path
+    if is_usd(file):
+        file = urdf_of_usd(file)
     return (folder.resolve().name if path.is_dir() else path.stem), HandToml(file, file)
