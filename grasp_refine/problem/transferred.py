@@ -20,6 +20,7 @@ from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.task import Task
 from grasp_refine.transfers.hand_frame import HandFrame
 from grasp_refine.transfers.key_points import MANO, KeyPoints
+from grasp_refine.transfers.merging import merged
 from grasp_refine.transfers.mirror import mirror_plane, mirrored
 from grasp_refine.transfers.source_grasps import SourceGrasps, source_grasps
 from grasp_refine.transfers.transfer import transfer_grasps
@@ -74,7 +75,8 @@ def with_transfers(problem: Problem) -> Problem:
         obj = group.scene.object
         found = source_grasps(source) if isinstance(source, Scene) else source.source_grasps(obj)
         part, some_notes = _on_side(found, hand, obj)
-        parts.append(part)
+        # Jaws are a thumb and one finger.
+        parts.append(merged(part, obj) if HandFrame.of(hand).thumb == "none" != part.thumb else part)
         notes += some_notes
     scenes = [source for source in sources if isinstance(source, Scene)]
     joints = (scenes[0].hand, np.concatenate([scene.q for scene in scenes])) if scenes else None
