@@ -82,6 +82,7 @@ TOML = (
     "heavy.toml",
     "[[body]]",
     "entry-points",
+    "index_joint_0",
 )
 """Parts of the blocks of TOML that a test reads by themselves."""
 
@@ -90,6 +91,18 @@ def test_the_protocol_on_default_contacts_is_read(tmp_path: Path):
     (block,) = (block for block in blocks("toml") if "mujoco-default" in block)
     (tmp_path / "own.toml").write_text(block)
     assert load_protocol(str(tmp_path / "own.toml")).contact == ContactModel("pyramidal", 10.0, 0)
+
+
+def test_a_table_is_read_by_the_file_that_names_its_columns(tmp_path: Path):
+    (block,) = (block for block in blocks("toml") if "index_joint_0" in block)
+    (tmp_path / "grasps.toml").write_text(block.replace("grasps.parquet", "grasps.csv"))
+    (tmp_path / "grasps.csv").write_text("x,y,z,qx,qy,qz,qw,object_id,q_index_0,held\n10,20,30,0,0,0.6,0.8,mug,90,1\n")
+    grasps = gr.load_grasps(tmp_path / "grasps.toml")
+    np.testing.assert_allclose(grasps.hand_pose, [[0.01, 0.02, 0.03, 0.8, 0.0, 0.0, 0.6]])
+    np.testing.assert_allclose(grasps.q, [[np.pi / 2]])
+    assert (grasps.joint_names, grasps.base_link) == (("index_joint_0",), "palm")
+    assert (grasps.object.tolist(), grasps.scale.tolist()) == (["mug"], [0.001])
+    assert grasps.labels["success"].tolist() == [1.0]
 
 
 @pytest.mark.parametrize(("language", "marks"), [("python", PYTHON), ("toml", TOML)])

@@ -202,7 +202,7 @@ class _Reader:
                 limit = min(limit, abs(share) * float(np.abs(model.actuator_forcerange[number]).max()))
         if model.jnt_actfrclimited[joint]:
             limit = min(limit, float(np.abs(world.model.jnt_actfrcrange[joint]).max()))
-        return stiffness, damping, limit
+        return float(stiffness), float(damping), float(limit)
 
     def _leader(self, joint: int) -> tuple[str, float, float] | None:
         model = self.world.model

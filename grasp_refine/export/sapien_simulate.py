@@ -1,6 +1,7 @@
 """Simulate the grasps of this folder in SAPIEN: the hand closes, then the object is pushed, or lifted."""
 
 import sys
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,7 @@ class Trial:
         self.hand = self._load(folder / "hand.urdf", material, fixed=True)
         self.object = self._load(folder / "object.urdf", material, fixed=False)
         self._add_table(material)
+        self._let_collide(folder / "hand.srdf")
         start = task["start"][grasp]
         self.hand.set_root_pose(sapien.Pose(start[:3], start[3:]))
         self.hand.set_solver_position_iterations(32)
@@ -74,6 +76,26 @@ class Trial:
         for link in loaded.links if articulations else []:
             link.disable_gravity = True
         return loaded
+
+    def _let_collide(self, path: Path) -> None:
+        """Keep links apart that `path` names: SAPIEN reads at most 31 such pairs by itself."""
+        apart = {
+            frozenset((pair.get("link1"), pair.get("link2"))) for pair in ET.parse(path).iter("disable_collisions")
+        }
+        names = [link.name for link in self.hand.links]
+        partners = {
+            one: frozenset(other for other in names if other != one and {one, other} not in apart) for one in names
+        }
+        # Links with equal partners share a bit; none of them is a partner of another one. Bit 0: object and table.
+        bits = {kind: bit for bit, kind in enumerate(dict.fromkeys(partners.values()), start=1)}
+        if len(bits) > 31:
+            sys.exit("this hand has more kinds of links, by what they may touch, than PhysX's filter has bits")
+        for link in self.hand.links:
+            mask = 1 | sum({1 << bits[partners[other]] for other in partners[link.name]})
+            for shape in link.collision_shapes:
+                shape.set_collision_groups([1 << bits[partners[link.name]], mask, 0, 0])
+        for shape in self._body().collision_shapes:
+            shape.set_collision_groups([1, 2**32 - 1, 0, 0])
 
     def _add_table(self, material: PhysxMaterial) -> None:
         normal, offset = self.task["table"][:3], float(self.task["table"][3])

@@ -92,7 +92,7 @@ def _add_joint(robot: ET.Element, link: BodyLink) -> None:
     if link.kind == "fixed":
         return
     ET.SubElement(node, "axis", xyz=_numbers(link.axis))
-    effort = link.force_limit if isfinite(link.force_limit) else UNLIMITED
+    effort = float(link.force_limit) if isfinite(link.force_limit) else UNLIMITED
     limit = {"effort": repr(effort), "velocity": str(UNLIMITED)}
     if link.kind != "continuous":
         low, high = (value if isfinite(value) else np.copysign(UNLIMITED, value) for value in link.limits)
