@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from grasp_refine.assets.cache import path_inside
 from grasp_refine.core.atomic_files import written_whole
@@ -16,6 +16,7 @@ RECORD = "accepted.json"
 """Record beside the files of an asset: the accepted wording of its licence, and the time."""
 
 
+@runtime_checkable
 class Licensed(Protocol):
     """Something with a licence: an asset, or a data set of the Hub."""
 

@@ -5,11 +5,12 @@ An engine that answers all items of a batch at once, on a GPU say, implements `S
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 
+@runtime_checkable
 class Search(Protocol):
     """Search among the piece pairs of P body pairs (a[p], b[p]), prepared once; then only poses change.
 

@@ -15,7 +15,7 @@ from grasp_refine.core.toml_file import toml_text
 from grasp_refine.export.exported import ExportedGrasps
 from grasp_refine.export.target import Readme
 from grasp_refine.grasps.grasp_set import POSE_COLUMNS
-from grasp_refine.results.validation_document import save_table
+from grasp_refine.results.validation_document import check_table, save_table
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,7 @@ class Table:
 
     def write(self, grasps: ExportedGrasps, folder: Path) -> Readme:
         """Write `grasps` and, where forces are known, `contacts`."""
+        check_table(Path(f"grasps.{self.name}"))
         save_table(folder / f"grasps.{self.name}", _rows(grasp_columns(grasps)))
         save_text(folder / "grasps.toml", _mapping(f"grasps.{self.name}", grasps))
         files = {

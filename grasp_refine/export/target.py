@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from grasp_refine.export.exported import ExportedGrasps
 
@@ -22,6 +22,7 @@ class Readme:
     """Conventions, and what the program does not take."""
 
 
+@runtime_checkable
 class Target(Protocol):
     """Program, or format, that grasps are exported to."""
 

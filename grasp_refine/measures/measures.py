@@ -222,6 +222,39 @@ MOVEMENTS = (
 _OF_TRANSFERS: dict[str, Any] = {"compared": False, "validated": False}
 """Measures of transferred grasps against their originals."""
 
+_FIDELITY: tuple[tuple[str, str, str, Unit, Better], ...] = (
+    (
+        "original_shift_m",
+        "contacts from the original's",
+        "median distance on the object between the contacts of a transferred grasp and those of its original",
+        METRE,
+        "lower",
+    ),
+    ("original_shift_most_m", "farthest from the original's", "the largest of these distances", METRE, "lower"),
+    (
+        "original_pinch_shift_m",
+        "thumb and opposing finger off",
+        "the larger of these distances of the thumb and of the finger that presses against it",
+        METRE,
+        "lower",
+    ),
+    (
+        "original_kept",
+        "contacts of the original kept",
+        "share of the fingers that touch in the original whose place a finger takes that touches",
+        SHARE,
+        "higher",
+    ),
+    (
+        "original_turn_rad",
+        "approach turned",
+        "angle between the approach directions of a transferred grasp and of its original",
+        RADIAN,
+        "lower",
+    ),
+)
+"""Name, title, hint, unit and direction of the measures of transferred grasps."""
+
 _OURS = (
     _refinement("starts", "starts", "number of starts of the refinement", COUNT, lambda of: of.starts),
     _refinement("iterations", "iterations", "of all starts together", COUNT, lambda of: of.iterations, "lower"),
@@ -291,37 +324,7 @@ _OURS = (
     ),
     *(
         Measure(name, title, hint, unit, of_fidelity(name.removesuffix(unit.suffix)), better, **_OF_TRANSFERS)
-        for name, title, hint, unit, better in (
-            (
-                "original_shift_m",
-                "contacts from the original's",
-                "median distance on the object between the contacts of a transferred grasp and those of its original",
-                METRE,
-                "lower",
-            ),
-            ("original_shift_most_m", "farthest from the original's", "the largest of these distances", METRE, "lower"),
-            (
-                "original_pinch_shift_m",
-                "thumb and opposing finger off",
-                "the larger of these distances of the thumb and of the finger that presses against it",
-                METRE,
-                "lower",
-            ),
-            (
-                "original_kept",
-                "contacts of the original kept",
-                "share of the fingers that touch in the original whose place a finger takes that touches",
-                SHARE,
-                "higher",
-            ),
-            (
-                "original_turn_rad",
-                "approach turned",
-                "angle between the approach directions of a transferred grasp and of its original",
-                RADIAN,
-                "lower",
-            ),
-        )
+        for name, title, hint, unit, better in _FIDELITY
     ),
     Measure(
         name="contact_distance_m",

@@ -30,6 +30,9 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.original import Original
 from grasp_refine.scene.scene import Scene
 
+WORDS = ("change", "fidelity", "fingers")
+"""Texts on each grasp, beside the status of its refinement."""
+
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
@@ -132,7 +135,7 @@ class Outcome:
 
     def texts(self) -> dict[str, np.ndarray]:
         """Return the texts (N,) as result files have them: on the refinement, and on the fidelity of transfers."""
-        words = {name: getattr(self, name) for name in ("change", "fidelity", "fingers")}
+        words = {name: getattr(self, name) for name in WORDS}
         return {"status": labels(Status, self.status), **words}
 
     def entries(self) -> dict[str, np.ndarray]:

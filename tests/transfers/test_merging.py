@@ -14,7 +14,7 @@ RADIUS = 0.03
 
 def grasps(normals: list[list[float] | None], heights: list[float]) -> SourceGrasps:
     """One grasp of a cylinder, whose fingers touch where its normal is as given, at heights."""
-    normal = np.array([[[np.nan] * 3 if one is None else one for one in normals]])
+    normal = np.array([[[np.nan] * 3 if one is None else one for one in normals]], dtype=float)
     point = RADIUS * normal + np.array([0.0, 0.0, 1.0]) * np.array(heights)[None, :, None]
     weight = np.where(np.isnan(normal[..., 0]), 0.0, 1.0)
     names = ("thumb", "index", "middle", "ring")[: len(normals)]

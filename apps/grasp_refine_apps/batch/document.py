@@ -13,6 +13,7 @@ from grasp_refine.core.npz_files import load_npz
 from grasp_refine.forces.squeeze_forces import ContactForces
 from grasp_refine.measures.measures import SIDES
 from grasp_refine.results.document import measure_entries
+from grasp_refine.results.outcome import WORDS
 from grasp_refine_apps.batch.shard import Shard
 
 SIMULATED = ("success", "reason", "direction", "displacement_m", "angle_rad")
@@ -61,7 +62,7 @@ def grasp_entries(shard: Shard) -> Iterator[dict[str, Any]]:
             "job": provenance["batch"]["job"],
             "object": values["object"] if isinstance(values["object"], str) else values["object"][i],
             "status": status,
-            "change": values["change"][i],
+            **{name: values[name][i] for name in WORDS},
             "advice": provenance["advice"][i],
             "forces": None if forces is None else forces.of_grasp(i),
             **measure_entries(values, i),

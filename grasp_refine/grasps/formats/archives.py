@@ -10,6 +10,7 @@ import tarfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedIOBase
 from math import inf
 from pathlib import Path, PurePosixPath
 from typing import IO, cast
@@ -91,7 +92,7 @@ def members(archive: Path, below: PurePosixPath, suffixes: tuple[str, ...]) -> I
 class _Bounded:
     """A file of which nothing large is read at once: a header may state any length of a name."""
 
-    def __init__(self, file: IO[bytes], archive: Path, size: float) -> None:
+    def __init__(self, file: BufferedIOBase, archive: Path, size: float) -> None:
         self.file, self.archive, self.size = file, archive, size
 
     def read(self, size: int = -1) -> bytes:
@@ -119,7 +120,7 @@ def _opened(path: Path) -> Iterator[tuple[_Bounded, tarfile.TarFile]]:
     with path.open("rb") as packed:
         is_packed = packed.read(2) == GZIP_MAGIC
         packed.seek(0)
-        unpacked = cast("IO[bytes]", gzip.GzipFile(fileobj=packed)) if is_packed else packed
+        unpacked = gzip.GzipFile(fileobj=packed) if is_packed else packed
         file = _Bounded(unpacked, path, MAX_UNPACKED_BYTES if is_packed else inf)
         with tarfile.open(fileobj=cast("IO[bytes]", file), mode="r:") as tar:
             yield file, tar
