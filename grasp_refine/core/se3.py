@@ -233,6 +233,12 @@ def tangents(normal: Same) -> Same:
     return xp.stack([first, second], axis=-1)
 
 
+def frame_along(axis: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) whose first column is `axis` (3,), of any length."""
+    along = axis / np.linalg.norm(axis)
+    return np.column_stack([along, tangents(along)])
+
+
 def matrix_from_quaternion(quaternion: Same) -> Same:
     """Rotation matrix (..., 3, 3) of a unit quaternion (w, x, y, z) (..., 4)."""
     xp = array_namespace(quaternion)

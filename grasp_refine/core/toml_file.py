@@ -40,7 +40,15 @@ def read_toml(path: Path) -> dict[str, Any]:
     """
     if (size := path.stat().st_size) > MAX_FILE_BYTES:
         raise ValueError(f"has {size / 2**20:.0f} MiB; at most {MAX_FILE_BYTES // 2**20} are read")
-    text = path.read_text(encoding="utf-8")
+    return parse_toml(path.read_text(encoding="utf-8"))
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the tables and values of a TOML text of bounded length.
+
+    Raises:
+        ValueError: it is not TOML, or nested too deep; the message names which.
+    """
     parts = 0
     for part in QUOTED_TEXT.sub(lambda found: "" if found[0][0] == "#" else "quoted", text).split("."):
         parts += 1

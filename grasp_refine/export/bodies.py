@@ -16,6 +16,7 @@ import numpy as np
 from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import inverse, transform, transform_points
+from grasp_refine.geometry.sphere_points import on_sphere
 from grasp_refine.hands.files.inertia import Inertia
 from grasp_refine.validation.engines.geom_pairs import touching_pairs
 from grasp_refine.validation.engines.mujoco.world import HAND, World
@@ -246,7 +247,7 @@ def _points(model: mujoco.MjModel, geom: int) -> Float[np.ndarray, "v 3"]:
         turn = np.linspace(0.0, 2.0 * np.pi, ROUND_POINTS // 2, endpoint=False)
         ring = np.column_stack([a * np.cos(turn), a * np.sin(turn), np.full(len(turn), b)])
         return np.concatenate([ring, ring * [1.0, 1.0, -1.0]])
-    ball = _on_sphere(ROUND_POINTS)
+    ball = on_sphere(ROUND_POINTS)
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         return a * ball
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
@@ -254,13 +255,6 @@ def _points(model: mujoco.MjModel, geom: int) -> Float[np.ndarray, "v 3"]:
     if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
         return ball * [a, b, c]
     raise GraspRefineError(f"geometry '{kind.name}' of the hand is exported to mjcf only")
-
-
-def _on_sphere(count: int) -> Float[np.ndarray, "n 3"]:
-    """Return points (n, 3) spread over the unit sphere, along a spiral."""
-    height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    turn, around = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count), np.sqrt(1.0 - height**2)
-    return np.column_stack([around * np.cos(turn), around * np.sin(turn), height])
 
 
 def _hull(points: np.ndarray) -> Hull:

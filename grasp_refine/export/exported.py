@@ -15,6 +15,7 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.squeeze_forces import ContactForces
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.palm import palm_poses
+from grasp_refine.motion.trajectory_context import all_values
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.scene import Scene
 
@@ -62,8 +63,7 @@ class ExportedGrasps:
     @cached_property
     def joint_values(self) -> Float[np.ndarray, "N 3 m"]:
         """Values (N, 3, m) of all movable joints at the stages, rad or m, followers included."""
-        matrix, offset, _ = self.hand.mimic_map()
-        return self.motion.q @ matrix.T + offset + self.hand.curves(self.motion.q)
+        return all_values(self.hand, self.motion.q)
 
     @cached_property
     def poses(self) -> Float[np.ndarray, "N 3 7"]:

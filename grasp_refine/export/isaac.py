@@ -40,7 +40,7 @@ class Isaac:
         opened, closed = (STAGES.index(name) for name in ("pregrasp", "grasp"))
         pose, q = grasps.palm_poses[rows], grasps.motion.q[rows][..., fingers]
         quality = grasps.values.get("quality")
-        palm = hand.palm if hand.arm is not None else hand.base_link
+        palm = hand.palm
         held = GraspSet(
             hand=hand.name,
             base_link=palm,

@@ -30,20 +30,16 @@ from grasp_refine.core.json_files import save_text
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.export.exported import ExportedGrasps
-from grasp_refine.export.schedule import closing_rows, lift_heights, limits_of
+from grasp_refine.export.schedule import ENDS, closing_rows, lift_heights, limits_of, simulated
 from grasp_refine.export.target import Readme
 from grasp_refine.hands.files.mujoco_messages import compiled, unlogged
 from grasp_refine.validation.engines.mujoco.arm_lift import ArmLift
-from grasp_refine.validation.engines.mujoco.world import OBJECT, World, build_world
+from grasp_refine.validation.engines.mujoco.world import OBJECT, World
 from grasp_refine.validation.replay.export import add_light, model_text
 from grasp_refine.validation.simulation import Course
-from grasp_refine.validation.validate import model_of
 
 VISUAL_GROUP, PIECES_GROUP = 2, 3
 """Groups of geoms in MuJoCo's viewer, which shows 0 to 2 at first."""
-
-ENDS = {"pregrasp": (0, 0.0), "grasp": (0, 1.0), "squeeze": (1, 1.0)}
-"""Name of a stage -> its place on a `Course`: the stage before, and the share of the way to the next one."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +52,7 @@ class Mjcf:
 
     def write(self, grasps: ExportedGrasps, folder: Path) -> Readme:
         """Write the scene, the schedule and the script."""
-        world = build_world(model_of(grasps.hand), grasps.object, grasps.scene.task.for_simulation)
-        course = Course.of(world, grasps.motion.T_world_root, grasps.motion.q, grasps.motion.finite)
+        world, course = simulated(grasps)
         save_text(folder / "scene.xml", _scene(world, grasps, course))
         save_npz(folder / "schedule.npz", _schedule(world, course))
         save_text(folder / "simulate.py", files(__package__).joinpath("mjcf_simulate.py").read_text(encoding="utf-8"))

@@ -56,7 +56,7 @@ class Ros2:
             ends = ", ".join(f"{name} at {timed.time[place]:.2f} s" for name, place in _ends(timed).items())
             _save(folder / "grasps" / str(row), GRASP, grasp_message(grasps, plans[row], row))
             _save(folder / "trajectories" / str(row), TRAJECTORY, trajectory_message(grasps, timed), ends)
-        palm = hand.palm if hand.arm is not None else hand.base_link
+        palm = hand.palm
         followers = [name for name in grasps.joint_names if name not in hand.joint_names]
         beyond = [f"Grasp {row} is left out: {plan.why}." for row, plan in enumerate(plans) if plan.direction is None]
         blocked = [

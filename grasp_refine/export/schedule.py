@@ -5,8 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from grasp_refine.core.array_types import Float
+from grasp_refine.export.exported import ExportedGrasps
 from grasp_refine.scene.protocols.protocol import AXES, Protocol
-from grasp_refine.validation.engines.mujoco.world import World
+from grasp_refine.validation.engines.mujoco.world import World, build_world
+from grasp_refine.validation.simulation import Course
+from grasp_refine.validation.validate import model_of
+
+ENDS = {"pregrasp": (0, 0.0), "grasp": (0, 1.0), "squeeze": (1, 1.0)}
+"""Name of a stage -> its place on a `Course`: the stage before, and the share of the way to the next one."""
+
+
+def simulated(grasps: ExportedGrasps) -> tuple[World, Course]:
+    """Return the world in which the task of grasps is simulated, and the course of the hand in it."""
+    world = build_world(model_of(grasps.hand), grasps.object, grasps.scene.task.for_simulation)
+    motion = grasps.motion
+    return world, Course.of(world, motion.T_world_root, motion.q, motion.finite)
 
 
 def closing_rows(protocol: Protocol) -> list[tuple[int, float]]:

@@ -28,17 +28,13 @@ from grasp_refine.core.npz_files import save_npz
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.export.bodies import Bodies, BodyLink
 from grasp_refine.export.exported import ExportedGrasps
-from grasp_refine.export.schedule import closing_rows, lift_heights, limits_of
+from grasp_refine.export.schedule import closing_rows, lift_heights, limits_of, simulated
 from grasp_refine.export.target import Readme
 from grasp_refine.export.urdf import ROOT_JOINTS, save_urdf
-from grasp_refine.validation.engines.mujoco.world import World, build_world
+from grasp_refine.validation.engines.mujoco.world import World
 from grasp_refine.validation.engines.rigid_groups import pose_of
-from grasp_refine.validation.engines.root_joints import ROOT_LAG_S, root_values
+from grasp_refine.validation.engines.root_joints import ROOT_LAG_S, ROOT_STIFFNESS, root_values
 from grasp_refine.validation.simulation import Course
-from grasp_refine.validation.validate import model_of
-
-ROOT_STIFFNESS = (1e6, 1e5)
-"""Stiffness of the joints of the root, N/m and N m/rad: as good as rigid."""
 
 NO_LIMIT = 1e30
 """Force limit of drives without one."""
@@ -62,10 +58,10 @@ class UrdfFolder:
 
     def write(self, grasps: ExportedGrasps, folder: Path) -> Readme:
         """Write URDFs, meshes, the task and the script."""
-        world = build_world(model_of(grasps.hand), grasps.object, grasps.scene.task.for_simulation)
+        world, course = simulated(grasps)
         bodies = Bodies.of(world)
         save_urdf(bodies, folder)
-        save_npz(folder / "task.npz", _task(world, bodies, grasps))
+        save_npz(folder / "task.npz", _task(world, bodies, course))
         script = files(__package__).joinpath(f"{self.name}_simulate.py").read_text(encoding="utf-8")
         save_text(folder / "simulate.py", script)
         program, package = PROGRAMS[self.name]
@@ -84,8 +80,7 @@ class UrdfFolder:
         )
 
 
-def _task(world: World, bodies: Bodies, grasps: ExportedGrasps) -> dict[str, np.ndarray]:
-    course = Course.of(world, grasps.motion.T_world_root, grasps.motion.q, grasps.motion.finite)
+def _task(world: World, bodies: Bodies, course: Course) -> dict[str, np.ndarray]:
     driven = {link.joint: link for link in bodies.links if link.parent and link.kind != "fixed"}
     mine = list(world.hand.joints)
     names = [name for name in mine if name in driven]

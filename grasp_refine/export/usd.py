@@ -20,13 +20,13 @@ import numpy as np
 from grasp_refine.closing.motion import STAGES
 from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import exp_so3, quaternion_from_matrix, tangents, transform, transform_from_pose
+from grasp_refine.core.se3 import exp_so3, frame_along, quaternion_from_matrix, transform, transform_from_pose
 from grasp_refine.export.bodies import Bodies, BodyLink
 from grasp_refine.export.exported import ExportedGrasps
+from grasp_refine.export.schedule import ENDS, simulated
 from grasp_refine.export.target import Readme
-from grasp_refine.validation.engines.mujoco.world import World, build_world
+from grasp_refine.validation.engines.mujoco.world import World
 from grasp_refine.validation.simulation import Course
-from grasp_refine.validation.validate import model_of
 
 HAND, OBJECT, GRASPS, MATERIAL = "/World/Hand", "/World/Object", "/World/Grasps", "/World/Looks/Contact"
 
@@ -49,8 +49,7 @@ class Usd:
             import pxr  # noqa: F401
         except ModuleNotFoundError:
             raise GraspRefineError("USD is not installed: pip install 'grasp-refine[usd]'") from None
-        world = build_world(model_of(grasps.hand), grasps.object, grasps.scene.task.for_simulation)
-        course = Course.of(world, grasps.motion.T_world_root, grasps.motion.q, grasps.motion.finite)
+        world, course = simulated(grasps)
         _Writer(grasps, world, course, Bodies.of(world), str(folder / "scene.usda")).write()
         return Readme(
             {"scene.usda": f"{HAND} (an articulation), {OBJECT}, and the stages of grasp K at {GRASPS}/grasp_K"},
@@ -163,7 +162,7 @@ class _Writer:
         joint.CreateBody0Rel().SetTargets([Sdf.Path(f"{HAND}/{names[link.parent]}")])
         joint.CreateBody1Rel().SetTargets([Sdf.Path(f"{HAND}/{names[link.name]}")])
         # The joint moves along or about x of these frames.
-        frame = transform(_along_x(link.axis), np.zeros(3))
+        frame = transform(frame_along(link.axis), np.zeros(3))
         for number, T in enumerate((link.T_parent_link @ frame, frame)):
             getattr(joint, f"CreateLocalPos{number}Attr")(_vector(T[:3, 3]))
             getattr(joint, f"CreateLocalRot{number}Attr")(_quaternion(T[:3, :3]))
@@ -208,12 +207,11 @@ class _Writer:
 
         types, grasps = Sdf.ValueTypeNames, self.grasps
         UsdGeom.Scope.Define(stage, GRASPS)
-        ends = {"pregrasp": (0, 0.0), "grasp": (0, 1.0), "squeeze": (1, 1.0)}
         for row in range(len(grasps)):
             prim = UsdGeom.Scope.Define(stage, f"{GRASPS}/grasp_{row}").GetPrim()
             prim.CreateAttribute("joints", types.StringArray, True).Set(Vt.StringArray(list(self.world.hand.joints)))
             for at, name in enumerate(STAGES):
-                root = self.course.root(*ends[name])[row].tolist()
+                root = self.course.root(*ENDS[name])[row].tolist()
                 prim.CreateAttribute(f"{name}:pose", types.DoubleArray, True).Set(Vt.DoubleArray(root))
                 values = list(self._joints(row, at).values())
                 prim.CreateAttribute(f"{name}:positions", types.DoubleArray, True).Set(Vt.DoubleArray(values))
@@ -237,12 +235,6 @@ def _mesh(stage: Any, path: str, vertices: np.ndarray, faces: np.ndarray) -> Any
     mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0), points.max(axis=0)])))
     mesh.CreateSubdivisionSchemeAttr("none")
     return mesh
-
-
-def _along_x(axis: np.ndarray) -> Float[np.ndarray, "3 3"]:
-    """Return a rotation (3, 3) whose first column is `axis`."""
-    along = axis / np.linalg.norm(axis)
-    return np.column_stack([along, tangents(along)])
 
 
 def _prim_names(names: list[str]) -> dict[str, str]:

@@ -34,8 +34,8 @@ CONVENTIONS = {
 """Meaning of the numbers, by key."""
 
 
-def all_values(hand: Hand, q: Float[np.ndarray, "K n"]) -> Float[np.ndarray, "K m"]:
-    """Return the values (K, m) of all movable joints, in the order of `joint_entries`."""
+def all_values(hand: Hand, q: Float[np.ndarray, "*K n"]) -> Float[np.ndarray, "*K m"]:
+    """Return the values (..., m) of all movable joints, in the order of `joint_entries`."""
     matrix, offset, _ = hand.mimic_map()
     return q @ matrix.T + offset + hand.curves(q)
 

@@ -1,14 +1,15 @@
-"""Contents of a JSON or YAML file: plain values of bounded depth and size."""
+"""Contents of a JSON, TOML or YAML file: plain values of bounded depth and size."""
 
 from __future__ import annotations
 
 import json
 import re
-import tomllib
+from collections.abc import Callable
 from typing import Any
 
 import yaml
 
+from grasp_refine.core.toml_file import parse_toml
 from grasp_refine.grasps.formats.pickled import MAX_DEPTH, Refused
 
 MAX_TEXT_BYTES = 2**26
@@ -39,14 +40,7 @@ def load_json(data: bytes) -> Any:
     Raises:
         Refused: it is damaged, too large or too deep.
     """
-    try:
-        value = json.loads(_decoded(data, "JSON"))
-    except RecursionError:
-        raise Refused(f"holds lists or dicts nested more than {MAX_DEPTH} deep") from None
-    except ValueError as error:
-        raise Refused(f"is no valid JSON ({' '.join(str(error).split())[:80]})") from None
-    _check_depth(value)
-    return value
+    return _parsed(data, "JSON", json.loads)
 
 
 def load_toml(data: bytes) -> Any:
@@ -55,12 +49,16 @@ def load_toml(data: bytes) -> Any:
     Raises:
         Refused: it is damaged, too large or too deep.
     """
+    return _parsed(data, "TOML", parse_toml)
+
+
+def _parsed(data: bytes, kind: str, parse: Callable[[str], Any]) -> Any:
     try:
-        value = tomllib.loads(_decoded(data, "TOML"))
+        value = parse(_decoded(data, kind))
     except RecursionError:
         raise Refused(f"holds lists or dicts nested more than {MAX_DEPTH} deep") from None
     except ValueError as error:
-        raise Refused(f"is no valid TOML ({' '.join(str(error).split())[:80]})") from None
+        raise Refused(f"is no valid {kind} ({' '.join(str(error).split())[:80]})") from None
     _check_depth(value)
     return value
 

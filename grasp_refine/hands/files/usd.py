@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.array_types import Float
-from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import HandError
-from grasp_refine.core.rpy_poses import rpy_from_transform
 from grasp_refine.core.se3 import inverse, matrix_from_quaternion, transform, transform_points
 from grasp_refine.geometry.cache import default_cache
+from grasp_refine.hands.files.inertia import Inertia
+from grasp_refine.hands.files.urdf_text import UNLIMITED, add_ends, add_inertia, numbers, save_obj, save_xml
 
 SUFFIXES = (".usd", ".usda", ".usdc")
 """Suffixes of stages."""
@@ -31,9 +31,6 @@ SCHEMA = 1
 """Version of the conversion."""
 
 AXES = {"X": np.array([1.0, 0.0, 0.0]), "Y": np.array([0.0, 1.0, 0.0]), "Z": np.array([0.0, 0.0, 1.0])}
-
-UNLIMITED = 1e4
-"""Effort (N, N m) and speed (m/s, rad/s) of joints without a limit of them; URDF demands numbers."""
 
 
 def is_usd(path: Path) -> bool:
@@ -101,9 +98,7 @@ class _Converter:
             self._add_link(robot, prim)
         for joint in joints:
             self._add_joint(robot, joint, labels)
-        ET.indent(robot)
-        with written_whole(urdf, HandError) as partial:
-            partial.write_text(ET.tostring(robot, encoding="unicode") + "\n", encoding="utf-8")
+        save_xml(robot, urdf)
 
     def _ends(self, joint: Any) -> tuple[Any, Any] | None:
         """Return the bodies of a joint; None: it closes a loop of a linkage, or holds the hand in the world."""
@@ -157,7 +152,7 @@ class _Converter:
                 continue
             number += 1
             file = f"meshes/{name}_{number}.obj"
-            self._save_obj(self.folder / file, *shape)
+            save_obj(self.folder / file, *shape)
             for kind in (["collision"] if solid else []) + (["visual"] if looks else []):
                 geometry = ET.SubElement(ET.SubElement(node, kind), "geometry")
                 ET.SubElement(geometry, "mesh", filename=file)
@@ -174,11 +169,7 @@ class _Converter:
         center = scale * np.where(np.isfinite(center), center, 0.0)
         turn = _rotation(api.GetPrincipalAxesAttr().Get())
         matrix = self.kilograms * self.metres**2 * (turn * moments) @ turn.T
-        inner = ET.SubElement(node, "inertial")
-        ET.SubElement(inner, "origin", xyz=_numbers(center), rpy="0 0 0")
-        ET.SubElement(inner, "mass", value=repr(self.kilograms * float(mass)))
-        pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
-        ET.SubElement(inner, "inertia", {f"i{'xyz'[a]}{'xyz'[b]}": repr(float(matrix[a, b])) for a, b in pairs})
+        add_inertia(node, Inertia(self.kilograms * float(mass), center, matrix))
 
     def _shape(self, prim: Any, T_world_body: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return vertices and triangles of a prim in the frame of its body, metres; None: it has none."""
@@ -215,12 +206,6 @@ class _Converter:
             faces = faces[:, ::-1]
         return transform_points(inverse(T_world_body), world), faces
 
-    def _save_obj(self, path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
-        lines = [f"v {_numbers(vertex)}" for vertex in vertices]
-        lines += [f"f {' '.join(str(corner + 1) for corner in face)}" for face in faces.tolist()]
-        with written_whole(path, HandError) as partial:
-            partial.write_text("\n".join([*lines, ""]), encoding="utf-8")
-
     def _add_joint(self, robot: ET.Element, joint: Any, labels: dict[str, str]) -> None:
         from pxr import UsdPhysics
 
@@ -247,10 +232,10 @@ class _Converter:
             ET.SubElement(robot, "link", name=between)
             at = transform(np.eye(3), frames[1][:3, 3])
             fixed = ET.SubElement(robot, "joint", name=f"{name}_offset", type="fixed")
-            _add_ends(fixed, between, child, inverse(at))
+            add_ends(fixed, between, child, inverse(at))
             child, T = between, T @ at
         node = ET.SubElement(robot, "joint", name=name)
-        _add_ends(node, parent, child, T)
+        add_ends(node, parent, child, T)
         if kind != "fixed":
             kind = self._add_limits(node, prim, kind, about)
             self._add_mimic(node, prim, labels, kind)
@@ -276,7 +261,7 @@ class _Converter:
         speed = prim.GetAttribute("physxJoint:maxJointVelocity").Get()
         speed = UNLIMITED if speed is None or not isfinite(speed) else unit * speed
         limit = {"effort": repr(float(effort)), "velocity": repr(float(min(speed, UNLIMITED)))}
-        ET.SubElement(node, "axis", xyz=_numbers(about))
+        ET.SubElement(node, "axis", xyz=numbers(about))
         if low is None or high is None or not (isfinite(low) and isfinite(high)):
             ET.SubElement(node, "limit", limit)
             if kind == "prismatic":
@@ -320,13 +305,6 @@ def _is_solid(prim: Any, body: Any) -> bool:
     return False
 
 
-def _add_ends(node: ET.Element, parent: str, child: str, T: np.ndarray) -> None:
-    x, y, z, *degrees = rpy_from_transform(T)
-    ET.SubElement(node, "origin", xyz=_numbers((x, y, z)), rpy=_numbers(np.deg2rad(degrees)))
-    ET.SubElement(node, "parent", link=parent)
-    ET.SubElement(node, "child", link=child)
-
-
 def _triangles(counts: Any, indices: Any) -> np.ndarray:
     """Return the triangles (f, 3) of polygons, as fans."""
     faces, start = [], 0
@@ -352,7 +330,3 @@ def _distinct(names: dict[str, str]) -> dict[str, str]:
     return {
         path: name if listed.count(name) == 1 else path.strip("/").replace("/", "_") for path, name in names.items()
     }
-
-
-def _numbers(values: Any) -> str:
-    return " ".join(repr(float(value) + 0.0) for value in values)

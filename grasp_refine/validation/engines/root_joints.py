@@ -9,6 +9,9 @@ from grasp_refine.core.array_types import Float
 ROOT_LAG_S = 0.038
 """Time by which the root follows a moving set point: that of MuJoCo's weld, 2 x 0.95 x 0.02 s."""
 
+ROOT_STIFFNESS = (1e6, 1e5)
+"""Stiffness with which the root is held on its course, N/m and N m/rad: as good as rigid, by any protocol."""
+
 
 def root_values(start: Float[np.ndarray, "4 4"], T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
     """Return the values (6,) of the root's joints that take it from `start` to `T`: rotations about x, y, z in turn."""

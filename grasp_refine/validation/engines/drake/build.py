@@ -34,7 +34,7 @@ from grasp_refine.validation.engines.geom_pairs import touching_pairs
 from grasp_refine.validation.engines.mujoco.parameters import Parameters
 from grasp_refine.validation.engines.mujoco.world import HAND, HOLDER, OBJECT, World
 from grasp_refine.validation.engines.rigid_groups import RigidGroups, pose_of
-from grasp_refine.validation.engines.root_joints import ROOT_LAG_S
+from grasp_refine.validation.engines.root_joints import ROOT_LAG_S, ROOT_STIFFNESS
 
 STICTION_SPEED_M_S = 1e-4
 """Speed of slip in m/s from which on friction is fully developed: held objects creep by less, 0.2 mm in two seconds."""
@@ -42,9 +42,6 @@ STICTION_SPEED_M_S = 1e-4
 NEAR_RIGID_THRESHOLD = 0.1
 """Share of a time step below which the period of a stiff constraint is not resolved but damped (SAP's beta): of the
 default, 1, couplings and servos of light fingers would be softer than their gains."""
-
-ROOT_STIFFNESS = (1e6, 1e5)
-"""Stiffness with which the hand's root is held on its course, N/m and N m/rad: as good as rigid, by any protocol."""
 
 ROOT_ARMATURE = (100.0, 10.0)
 """Inertia that is added to the root's motion along and about each axis, kg and kg m^2: without it, servos this stiff

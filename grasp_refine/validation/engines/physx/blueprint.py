@@ -27,7 +27,7 @@ import numpy as np
 
 from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import exp_so3, inverse, tangents, transform
+from grasp_refine.core.se3 import exp_so3, frame_along, inverse, transform
 from grasp_refine.hands.linkages.servos import actuator_name
 from grasp_refine.validation.engines.geom_pairs import touching_pairs
 from grasp_refine.validation.engines.mujoco.parameters import Parameters
@@ -37,10 +37,7 @@ from grasp_refine.validation.engines.physx.drives import Drives
 from grasp_refine.validation.engines.physx.shapes import let_collide, material_of, shape_of
 from grasp_refine.validation.engines.physx.tendons import Tendon, common_parent, first_below
 from grasp_refine.validation.engines.rigid_groups import RigidGroups, pose_of
-from grasp_refine.validation.engines.root_joints import ROOT_LAG_S
-
-ROOT_STIFFNESS = (1e6, 1e5)
-"""Stiffness with which the hand's root is held on its course, N/m and N m/rad: as good as rigid, by any protocol."""
+from grasp_refine.validation.engines.root_joints import ROOT_LAG_S, ROOT_STIFFNESS
 
 ROOT_INERTIA = (100.0, 10.0)
 """Mass and inertia that are added to the root, kg and kg m^2, so that its drives are well-conditioned."""
@@ -206,7 +203,7 @@ class _Builder:
         above = np.eye(4)
         for number in range(6):
             turns, axis = divmod(number, 3)
-            frame = transform(_frame_along(np.eye(3)[axis]), np.zeros(3))
+            frame = transform(frame_along(np.eye(3)[axis]), np.zeros(3))
             kind = "revolute_unwrapped" if turns else "prismatic"
             stiffness, at = ROOT_STIFFNESS[turns], pose_of_transform(inverse(above) @ frame)
             self._links.append(Link(carrier, number, kind, at))
@@ -233,7 +230,7 @@ class _Builder:
         joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
         if any(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE for joint in joints):
             # The frame of the last joint of the root, about z.
-            T_body_link = transform(_frame_along(np.eye(3)[2]), np.zeros(3))
+            T_body_link = transform(frame_along(np.eye(3)[2]), np.zeros(3))
             own = self._body(body, T_body_link, ROOT_INERTIA[0], ROOT_INERTIA[1] * np.eye(3))
             self._links[-1] = replace(self._links[-1], body=own)
             self._place_of_body[body] = len(self._links) - 1, T_body_link
@@ -248,7 +245,7 @@ class _Builder:
             if kind == mujoco.mjtJoint.mjJNT_BALL:
                 raise GraspRefineError(f"engine physx has no ball joints in hands, as '{name}': use engine mujoco")
             slides, limited = kind == mujoco.mjtJoint.mjJNT_SLIDE, bool(model.jnt_limited[joint])
-            T_body_link = transform(_frame_along(axis), model.jnt_pos[joint])
+            T_body_link = transform(frame_along(axis), model.jnt_pos[joint])
             # The poses of the file are at the reference positions.
             back = -model.qpos0[model.jnt_qposadr[joint]] * np.eye(3)[0]
             moved = transform(np.eye(3), back) if slides else transform(exp_so3(back), np.zeros(3))
@@ -420,12 +417,6 @@ class _Builder:
                 self._links[link].body.shapes.append(shape)
         let_collide(shapes, pairs)
         return object, fixed, {shape: geom for geom, shape in enumerate(shapes) if shape is not None}
-
-
-def _frame_along(axis: np.ndarray) -> Float[np.ndarray, "3 3"]:
-    """Return a rotation (3, 3) whose first column is `axis`."""
-    along = axis / np.linalg.norm(axis)
-    return np.column_stack([along, tangents(along)])
 
 
 def _largest(limited: bool | np.bool_ | np.integer, ends: np.ndarray) -> float:

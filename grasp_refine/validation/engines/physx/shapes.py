@@ -10,6 +10,7 @@ import numpy as np
 from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform
+from grasp_refine.geometry.sphere_points import on_sphere
 from grasp_refine.validation.engines.physx.binding import physx, pose_of_transform
 
 CONTACT_OFFSET_M = 1e-3
@@ -57,7 +58,7 @@ def shape_of(
         start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
         shape = _hull(model.mesh_vert[start : start + count].astype(float), material)
     elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        shape = _hull(size * _on_sphere(ELLIPSOID_POINTS), material)
+        shape = _hull(size * on_sphere(ELLIPSOID_POINTS), material)
     elif kind == mujoco.mjtGeom.mjGEOM_BOX:
         shape = physx.PhysxCollisionShapeBox(size, material)
     elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
@@ -83,13 +84,6 @@ def _hull(points: np.ndarray, material: physx.PhysxMaterial) -> physx.PhysxColli
 
     corners = points[ConvexHull(points).vertices] / HULL_UNIT_M
     return physx.PhysxCollisionShapeConvexMesh(corners.astype(np.float32), np.full(3, HULL_UNIT_M), material)
-
-
-def _on_sphere(count: int) -> Float[np.ndarray, "n 3"]:
-    """Return points (n, 3) spread over the unit sphere, along a spiral."""
-    height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
-    return np.column_stack([np.sqrt(1.0 - height**2)[:, None] * np.column_stack([np.cos(turn), np.sin(turn)]), height])
 
 
 def let_collide(shapes: Sequence[physx.PhysxCollisionShape | None], pairs: Sequence[tuple[int, int]]) -> None:
