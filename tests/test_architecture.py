@@ -19,6 +19,7 @@ ORDER = (
     "grasp_refine.hands.files",
     "grasp_refine.hands.linkages",
     "grasp_refine.hands",
+    "grasp_refine.scans",
     "grasp_refine.objects",
     "grasp_refine.grasps",
     "grasp_refine.grasps.formats",

@@ -27,6 +27,8 @@ from grasp_refine.geometry.surface_distance import surface_note
 from grasp_refine.geometry.units import UNITS, Unit, check_size
 from grasp_refine.hands.files.inertia import Inertia
 from grasp_refine.objects.folders import given_pieces, surface
+from grasp_refine.scans.hypothesis import Hypothesis
+from grasp_refine.scans.scan import Scan
 
 if TYPE_CHECKING:
     import trimesh
@@ -68,6 +70,11 @@ class Object:
     """Folder of earlier decompositions; "user" is the user's cache folder, None: no cache."""
     whole: Object | None = None
     """Object for which this one, its convex hull, stands until that is decomposed; None: it stands for none."""
+
+    scan: Scan | None = None
+    """Scan of which this is the most probable completion; None: its surface is known."""
+    hypotheses: tuple[Hypothesis, ...] = ()
+    """Solids that a scanned object may be, the most probable first."""
 
     def __repr__(self) -> str:
         size = " x ".join(f"{side * 1e3:.3g}" for side in self.mesh.extents)

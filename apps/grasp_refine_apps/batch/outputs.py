@@ -22,6 +22,7 @@ from grasp_refine_apps.batch.page import page
 from grasp_refine_apps.batch.pictures import draw_cases
 from grasp_refine_apps.batch.plan import Plan
 from grasp_refine_apps.batch.progress import Progress
+from grasp_refine_apps.batch.record import clean
 from grasp_refine_apps.batch.rows import column_kinds, read_rows
 from grasp_refine_apps.batch.session import Session
 from grasp_refine_apps.batch.shard import Shard
@@ -65,6 +66,7 @@ class Outputs:
 
     def read(self, session: Session, progress: Progress) -> None:
         """Gather statistics, and write the index, if there is one; unreadable shards are no longer complete."""
+        clean(self.files)
         progress.wait("writing the index" if self.index is not None else "reading the results")
         with nullcontext() if self.index is None else index_writer(self.index) as add_rows:
             for shard in session.complete_shards:

@@ -95,11 +95,11 @@ def forget_failure(shard: Shard) -> None:
         _note_path(shard).unlink(missing_ok=True)
 
 
-def clean(shards: Iterable[Shard]) -> None:
-    """Remove partial result files left by killed processes of this machine."""
+def clean(files: Iterable[Path]) -> None:
+    """Remove partial files of these files, left by killed processes of this machine."""
     names: dict[Path, set[str]] = {}
-    for shard in shards:
-        names.setdefault(shard.path.parent, set()).add(shard.path.name)
+    for path in files:
+        names.setdefault(path.parent, set()).add(path.name)
     for folder, here in names.items():
         with suppress(OSError):
             for entry in os.scandir(folder):

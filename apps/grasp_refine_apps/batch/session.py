@@ -127,7 +127,7 @@ class Session:
                             return
         finally:
             # Killed workers leave partial files.
-            clean([shard for bundle in bundles for shard in bundle.shards])
+            clean(shard.path for bundle in bundles for shard in bundle.shards)
         if apart:
             self.run(apart, pool, progress, tries=tries, patience_s=patience_s)
 

@@ -288,7 +288,7 @@ class Batch:
         todo = session.left
         if not todo:
             return
-        clean(todo)
+        clean(shard.path for shard in todo)
         workers = self.sharding.num_workers(len(todo))
         simulated = bool(work.engines)
         began = time.perf_counter()

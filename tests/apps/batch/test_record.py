@@ -110,7 +110,7 @@ def test_what_killed_processes_left_is_taken_away_and_what_others_write_is_not(t
         )
         for path in (left, other, elsewhere):
             path.touch()
-        clean([one])
+        clean([one.path])
         assert not left.exists()
         assert partial.exists()
         assert other.exists()

@@ -19,6 +19,7 @@ import pytest
 
 from command_line import PROGRAM, interruptible, refused, subprocess_environment
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.atomic_files import half_written_path
 from grasp_refine_apps.batch import worst
 from grasp_refine_apps.batch.session import MAX_UNWRITTEN
 from grasp_refine_apps.batch.shard import Shard
@@ -391,6 +392,17 @@ def test_a_disk_that_stays_full_stops_the_batch_and_says_how_much_room_is_needed
         path.unlink(missing_ok=True)
     assert batch(sources, *command) == 0
     assert len(index(copy)) == 8
+
+
+@pytest.mark.usefixtures("here")
+def test_what_a_run_that_was_killed_left_of_its_tables_is_taken_away(copy: Path, sources: Path):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    for name in ("index.csv", "report.html", "batch.json"):
+        partial = half_written_path(copy / name)
+        partial.with_name(partial.name.replace(str(os.getpid()), str(ended.pid), 1)).touch()
+    assert batch(sources, "--out", copy, "--shard-size", 3, "--json", copy / "batch.json", *WITH_REPORT) == 0
+    assert not list(copy.rglob(".*"))
 
 
 @pytest.mark.slow
