@@ -5,7 +5,7 @@ It needs neither a screen nor a graphics driver, so that pictures and films can 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ import numpy as np
 
 from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.se3 import transform_points
+from grasp_refine.geometry.z_buffer import rasterize
 
 if TYPE_CHECKING:
     import trimesh
@@ -24,12 +25,8 @@ SHINE_SQUARINGS = 5
 """Times that the cosine of a reflection is squared, which makes highlights small."""
 SHADOW_BIAS = 0.006
 """Distance behind the depth of the shadow map from which a point lies in shadow, in heights of the picture."""
-RELATIVE_SLACK = 1e-9
-"""Share of its height by which a triangle is enlarged, so that no gaps open between neighbours."""
 CREASE_DEG = 35.0
 """Angle above which edges are shaded as sharp, degrees."""
-BLOCK_PIXELS = 2**16
-"""Number of bounding-box pixels up to which triangles are drawn together, which bounds the memory."""
 OUTLINE_STEP, CREASE_STEP = 0.03, 0.0025
 """Depth step between neighbouring pixels that is drawn as an outline, in heights of the picture: in a model, between
 two models."""
@@ -231,76 +228,7 @@ class _Scene:
 
 def _rasterize(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Nearest face (H, W), -1 for none, and depth (H, W) in metres; of several at the same depth the first face."""
-    shape = camera.height, camera.width
-    x, y, depth = np.moveaxis(camera.project(vertices)[faces.T], -1, 0)
-    nearest, least = np.full(camera.height * camera.width, -1), np.full(camera.height * camera.width, np.inf)
-    for face, begin, count, start, slope in _spans(x, y, depth, shape):
-        span, step = _repeat_indices(count)
-        pixel, value = begin[span] + step, start[span] + slope[span] * step
-        nearer = np.flatnonzero(value < least[pixel])
-        span, pixel, value = span[nearer], pixel[nearer], value[nearer]
-        np.minimum.at(least, pixel, value)
-        # Of values assigned to the same pixel the last one stays, so that the order is reversed.
-        won = np.flatnonzero(value == least[pixel])[::-1]
-        nearest[pixel[won]] = face[span[won]]
-    return nearest.reshape(shape), least.reshape(shape)
-
-
-def _spans(
-    x: np.ndarray, y: np.ndarray, depth: np.ndarray, shape: tuple[int, int]
-) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Pixel spans of triangles, row by row: their weights are linear along a row, so a span lies between two columns.
-
-    Args:
-        x: Pixel coordinates of the corners (3, F), to the right.
-        y: Pixel coordinates of the corners (3, F), downwards.
-        depth: Depths of the corners (3, F).
-        shape: Height and width of the picture.
-
-    Yields:
-        Face, first pixel (counted row by row), number of pixels, depth there and how much it grows from pixel to pixel;
-        one for each span (S,), in order of faces, in blocks of about `BLOCK_PIXELS` pixels.
-    """
-    left, right = _centers(x, shape[1])
-    top, bottom = _centers(y, shape[0])
-    area = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])
-    box = (right - left) * (bottom - top)
-    drawn = np.flatnonzero((box > 0) & (np.abs(area) >= 1e-9))
-    block = np.cumsum(box[drawn]) // BLOCK_PIXELS
-    for some in np.split(drawn, np.flatnonzero(np.diff(block)) + 1):
-        (ax, bx, cx), (ay, by, cy), (a, b, c) = x[:, some], y[:, some], depth[:, some]
-        # Increments of the weights of a, b and c, and so of the depth, from pixel to pixel to the right and downwards.
-        to_right = np.stack([by - cy, cy - ay, ay - by]) / area[some]
-        downwards = np.stack([cx - bx, ax - cx, bx - ax]) / area[some]
-        depth_right, depth_down = ((b - a) * weight[1] + (c - a) * weight[2] for weight in (to_right, downwards))
-        # Column, relative to a's, where a weight is zero: at + shift * (rows from a's on). A tiny slope replaces zero.
-        slope = np.where(to_right == 0.0, 1e-30, to_right)
-        at, shift = (-RELATIVE_SLACK - np.array([[1.0], [0.0], [0.0]])) / slope, -downwards / slope
-
-        face, row = _repeat_indices((bottom - top)[some])
-        row += top[some][face]
-        below = row + 0.5 - ay[face]
-        zero, rising = at[:, face] + shift[:, face] * below, (slope > 0.0)[:, face]
-        begin = np.where(rising, zero, -np.inf).max(axis=0) + (ax[face] - 0.5)
-        end = np.where(rising, np.inf, zero).min(axis=0) + (ax[face] + 0.5)
-        low, high = left[some][face], right[some][face]
-        begin, end = (np.clip(edge, low, high).astype(int) for edge in (np.ceil(begin), np.floor(end)))
-        full = np.flatnonzero(begin < end)
-        face, row, begin, end, below = (array[full] for array in (face, row, begin, end, below))
-        start = a[face] + depth_right[face] * (begin + 0.5 - ax[face]) + depth_down[face] * below
-        yield some[face], row * shape[1] + begin, end - begin, start, depth_right[face]
-
-
-def _centers(corners: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """First and, plus one, last pixel (F,) of `size` whose centre may lie between the corners (3, F)."""
-    low, high = np.ceil(corners.min(axis=0) - 0.5), np.floor(corners.max(axis=0) + 0.5)
-    return np.clip(low, 0, size).astype(int), np.clip(high, 0, size).astype(int)
-
-
-def _repeat_indices(count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Repeat each index `count` (N,) times; return the indices, and the number 0, 1, 2 ... of each repetition."""
-    index = np.repeat(np.arange(len(count)), count)
-    return index, np.arange(len(index)) - (np.cumsum(count) - count)[index]
+    return rasterize(camera.project(vertices)[faces], (camera.height, camera.width))
 
 
 def _weights(corner_x: np.ndarray, corner_y: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

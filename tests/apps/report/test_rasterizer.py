@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from grasp_refine.geometry import z_buffer
 from grasp_refine_apps.report import rasterizer
 from grasp_refine_apps.report.rasterizer import Camera, Model, count_owners, render
 
@@ -107,8 +108,8 @@ def test_the_size_of_the_blocks_changes_nothing_but_the_memory(monkeypatch: pyte
     camera = Camera(EYE, TARGET, 100, 100, 0.2)
     triangles = np.random.default_rng(0).normal(size=(300, 3, 3)) * [0.05, 0.4, 0.4]
     images = []
-    for block in (rasterizer.BLOCK_PIXELS, 100):
-        monkeypatch.setattr(rasterizer, "BLOCK_PIXELS", block)
+    for block in (z_buffer.BLOCK_PIXELS, 100):
+        monkeypatch.setattr(z_buffer, "BLOCK_PIXELS", block)
         tracemalloc.start()
         images.append(rasterizer._rasterize(*vertices_and_faces(triangles), camera))
         peak = tracemalloc.get_traced_memory()[1]
