@@ -214,6 +214,24 @@ def quality_value(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     return np.where(grasps.known, grasps.quality.value, np.nan) * room(grasps)
 
 
+def likely_quality(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return `quality_value` (N,) on the most probable completion of a scanned object; NaN for other objects."""
+    return quality_value(grasps) if grasps.object.hypotheses else np.full(len(grasps), np.nan)
+
+
+def contacts_seen(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the share (N,) of the links in contact that touch where the scan has points; NaN without contact or scan.
+
+    Links within `CONTACT_DISTANCE_M` count.
+    """
+    scan, witness = grasps.object.scan, grasps.geometry.witness
+    if scan is None:
+        return np.full(len(grasps), np.nan)
+    touching = witness.valid & (witness.distance <= CONTACT_DISTANCE_M)
+    number = touching.sum(axis=1)
+    return np.where(number > 0, (touching & scan.seen(witness.point_b)).sum(axis=1) / np.maximum(number, 1), np.nan)
+
+
 def room(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     """Return the share (N,) of the quality that is left to grasps in a body of the scene or the table, or elsewhere."""
     wrong = [] if grasps.scene_depths is None else [grasps.scene_depths.depth]

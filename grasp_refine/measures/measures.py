@@ -23,7 +23,9 @@ from grasp_refine.measures.formulas import (
     contact_error,
     contact_error_mean,
     contact_number,
+    contacts_seen,
     largest_mass,
+    likely_quality,
     of_fidelity,
     quality_value,
     region_miss,
@@ -152,6 +154,14 @@ QUALITY = Measure(
     better="higher",
     head=("", "qual."),
 )
+LIKELY_QUALITY = Measure(
+    name="likely_quality",
+    title="quality if it is what it seems",
+    hint="quality on the most probable completion of a scanned object, where `quality` is over all completions",
+    unit=SHARE,
+    formula=likely_quality,
+    better="higher",
+)
 
 
 def _refinement(
@@ -260,6 +270,15 @@ _OURS = (
     _refinement("iterations", "iterations", "of all starts together", COUNT, lambda of: of.iterations, "lower"),
     _refinement("queries", "queries", "narrow-phase queries", COUNT, lambda of: of.queries, "lower"),
     QUALITY,
+    LIKELY_QUALITY,
+    Measure(
+        name="contacts_seen",
+        title="contacts seen",
+        hint="share of the links in contact that touch the object where its scan has points; none without a scan",
+        unit=SHARE,
+        formula=contacts_seen,
+        better="higher",
+    ),
     Measure(
         name="largest_mass_kg",
         title="largest mass",

@@ -126,6 +126,27 @@ class Object:
         """Whether it is only the convex hull of an object that is not decomposed yet."""
         return self.whole is not None
 
+    @cached_property
+    def solids(self) -> tuple[Object, ...]:
+        """Solids that a scanned object may be, as objects: itself, the most probable one, comes first."""
+        return self, *(self._solid(f"{self.name}, {other.kind}", other.pieces) for other in self.hypotheses[1:])
+
+    @cached_property
+    def weights(self) -> Float[np.ndarray, " K"]:
+        """Probability (K,) of each of the `solids`."""
+        return np.array([each.weight for each in self.hypotheses] or [1.0])
+
+    @cached_property
+    def envelope(self) -> Object:
+        """Union of all solids that it may be; itself where its surface is known."""
+        if len(self.hypotheses) < 2:
+            return self
+        pieces = tuple(piece for each in self.hypotheses for piece in each.pieces)
+        return self._solid(f"{self.name}, all hypotheses", pieces)
+
+    def _solid(self, name: str, pieces: tuple[Piece, ...]) -> Object:
+        return replace(self, name=name, supplied=pieces, convex=len(pieces) == 1, scan=None, hypotheses=())
+
     def as_hull(self) -> Object:
         """Return the convex hull of the object, to be shown until this is decomposed."""
         return Object(

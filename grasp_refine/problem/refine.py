@@ -16,6 +16,7 @@ from grasp_refine.measures.measures import SIDES
 from grasp_refine.problem.input_cache import InputCache
 from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.refined import RefinedGrasps
+from grasp_refine.problem.scanned import EFFORT, refine_scanned
 from grasp_refine.problem.together import sets_of, together
 from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.refinement.clearance import clearances
@@ -36,9 +37,6 @@ if TYPE_CHECKING:
 
 WORTH_MOVING = 0.1
 """Quality by which a transferred grasp must be better away from its original's contacts, unless it is good enough."""
-
-EFFORT = ("starts", "iterations", "queries", "cpu_s", "wall_s")
-"""Measures of the effort of a refinement."""
 
 
 class Listener:
@@ -195,6 +193,8 @@ def refine_together(
     on_note: Callable[[str], None] = lambda line: None,
 ) -> list[Outcome]:
     """Refine groups of a set of `sets_of` in one batch; arguments are as for `refine_group`."""
+    if groups[0].scene.object.hypotheses:
+        return [refine_scanned(group, config, progress, on_iteration) for group in groups]
     scene = together([group.scene for group in groups])
     prepared = prepared or HandObject.of(scene)
     refinement = refine(scene, config, progress, on_iteration, prepared=prepared)

@@ -24,7 +24,8 @@ def sets_of(groups: Sequence[Group], config: Config) -> list[list[Group]]:
     for group in groups:
         last = sets[-1] if sets else []
         many = sum(len(each.rows) for each in (*last, group)) > config.width
-        if not last or alone or many or not _fits(last[0].scene, group.scene):
+        scanned = any(each.scene.object.hypotheses for each in (*last, group))
+        if not last or alone or many or scanned or not _fits(last[0].scene, group.scene):
             sets.append([group])
         else:
             last.append(group)

@@ -23,6 +23,7 @@ from grasp_refine.results.simulated import SimulatedGrasps, closings_line, simul
 from grasp_refine.results.verdict import (
     REGION_ADVICE,
     estimate_line,
+    is_unseen,
     should_hold,
     slip_advice,
     status_advice,
@@ -167,7 +168,7 @@ def _verdict(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> 
         if touches_outside(outcome)[i, 1]:
             return Text("outside", "yellow")
         if not should_hold(outcome.quality[i])[1]:
-            return Text("may slip", "yellow")
+            return Text("not seen" if is_unseen(outcome)[i] else "may slip", "yellow")
         gap = str(outcome.gap[i]).partition(" at ")[0]
         return Text.assemble(("should hold", "green"), (f", gap {gap}" if gap else "", "yellow"))
     return Text(status.label, _COLORS.get(status, ""))
@@ -194,7 +195,8 @@ def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[
     """Return lines on the estimate by quality, where nothing was simulated, and advice on grasps that may slip."""
     before, after = (should_hold(quality) for quality in outcome.quality.T)
     # Grasps that touch elsewhere are marked.
-    slips, how = outcome.usable & ~after & ~touches_outside(outcome)[:, 1], "may slip"
+    weak, unseen = outcome.usable & ~after & ~touches_outside(outcome)[:, 1], is_unseen(outcome)
+    slips, how = weak & ~unseen, "may slip"
     lines = []
     if held is None:
         lines.append(estimate_line(int(after.sum()), int(before.sum()), len(outcome)))
@@ -206,6 +208,11 @@ def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[
             Text.assemble((f"{slips.sum()} {how}", "yellow"), f"{_numbers_in_brackets(outcome, slips)}: {advice}")
         )
         lines += _text_lines(outcome, slips, outcome.weakness)
+    if (hidden := weak & unseen).any():
+        count = Text(f"{hidden.sum()} not seen", "yellow")
+        hint = f"{_numbers_in_brackets(outcome, hidden)}: they may hold or not, by what the object is behind"
+        lines.append(Text.assemble(count, hint))
+        lines += _text_lines(outcome, hidden, outcome.weakness)
     return lines
 
 

@@ -34,6 +34,11 @@ def should_hold(quality: Float[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
     return np.nan_to_num(quality) >= HOLDS
 
 
+def is_unseen(outcome: Outcome) -> Bool[np.ndarray, " N"]:
+    """Return True for refined grasps (N,) that should hold a scanned object if it is what it seems, but may not be."""
+    return ~should_hold(outcome.quality[:, 1]) & should_hold(outcome["likely_quality"][:, 1])
+
+
 def touches_outside(outcome: Outcome) -> Bool[np.ndarray, "N 2"]:
     """Return True where a grasp touches the object outside of the regions, before and after (N, 2)."""
     return outcome.usable[:, None] & (outcome["region_miss_m"] > COSTLY_M[0])
@@ -70,12 +75,15 @@ def status_advice(status: Status, config: Config) -> str:
 def advice(outcome: Outcome, config: Config) -> list[str]:
     """Return advice on each of N grasps."""
     slips = outcome.usable & ~should_hold(outcome.quality[:, 1]) & config.holds
-    outside = touches_outside(outcome)[:, 1]
+    outside, unseen = touches_outside(outcome)[:, 1], is_unseen(outcome)
     texts = []
-    for status, slip, miss, weakness in zip(outcome.status, slips, outside, outcome.weakness.tolist(), strict=True):
+    each = zip(outcome.status, slips, outside, unseen, outcome.weakness.tolist(), strict=True)
+    for status, slip, miss, hidden, weakness in each:
         parts = [status_advice(Status(status), config)]
         if miss:
             parts.append(f"{weakness}: {REGION_ADVICE}")
+        elif hidden:
+            parts.append(f"not seen: {weakness}")
         elif slip:
             why = f" ({weakness})" if weakness else ""
             parts.append(f"may slip{why}: {slip_advice(config)}")

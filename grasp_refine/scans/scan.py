@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from grasp_refine.core.array_types import Float, Int
+from grasp_refine.core.array_types import Bool, Float, Int
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+NEAR_M = 2e-3
+"""Least distance in metres from a point of a scan within which surface counts as seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,3 +31,27 @@ class Scan:
     """Index of the sensor in `origins` that saw each point; 0 without sensors."""
     noise_m: float
     """Standard deviation of the points along the lines of sight, metres."""
+
+    def seen(self, points: Float[np.ndarray, "*N 3"]) -> Bool[np.ndarray, "*N"]:
+        """Return True for points of a surface (..., 3), object frame, that lie where the scan has points.
+
+        NaN is not seen. Surface within twice the distance of neighbouring points counts, or three standard deviations
+        of the noise, and at least `NEAR_M`.
+        """
+        known = np.isfinite(points).all(axis=-1)
+        distance, _ = self._tree.query(np.where(known[..., None], points, 0.0), workers=1)
+        return known & (distance <= self._spacing)
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.points)
+
+    @cached_property
+    def _spacing(self) -> float:
+        """Distance in metres from a point within which surface counts as seen."""
+        if len(self.points) < 2:
+            return NEAR_M
+        nearest = self._tree.query(self.points, k=2, workers=1)[0][:, 1]
+        return max(2.0 * float(np.median(nearest)), 3.0 * self.noise_m, NEAR_M)

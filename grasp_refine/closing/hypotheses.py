@@ -1,0 +1,128 @@
+"""Grasps on a scanned object: how a closing hand ends on each solid that the object may be, and which grasp is best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from grasp_refine.closing.motion import Motion
+from grasp_refine.closing.pregrasp import open_hand
+from grasp_refine.closing.stopped import close_until_stopped
+from grasp_refine.core.array_types import Bool, Float
+from grasp_refine.forces.squeeze import CONTACTS, squeeze
+from grasp_refine.hands.displacement import Displacement
+from grasp_refine.refinement.clearance import clearances
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.gap_closing import RELEASE_GAP_M
+from grasp_refine.refinement.judging import judge
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+
+REACH = 2.0
+"""Length of the path on which fingers close, from the open hand, over the part up to the grasp."""
+
+IN_THE_WAY_M = (0.001, 0.005)
+"""Depth in metres of a link in a solid where closing ends, up to which a grasp keeps its quality, and from which on it
+has none: the hand cannot be there, and would push the object away."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """Ends of N closing hands on each of K solids."""
+
+    T_open: Float[np.ndarray, "N 4 4"]
+    """Poses (N, 4, 4) of the base link at which the hand is open beside all solids, object frame, metres."""
+    q_open: Float[np.ndarray, "N n"]
+    """Joint values (N, n) there."""
+    q: Float[np.ndarray, "N K n"]
+    """Joint values (N, K, n) at which each solid stops the fingers."""
+    value: Float[np.ndarray, "N K"]
+    """Quality (N, K) there: the probability that the hand holds the object if it is this solid."""
+    touching: Bool[np.ndarray, "N K L"]
+    """Links (N, K, L) that touch there."""
+    point: Float[np.ndarray, "N K L 3"]
+    """Witness points (N, K, L, 3) on the solid, object frame, metres."""
+    normal: Float[np.ndarray, "N K L 3"]
+    """Unit normals (N, K, L, 3) from link to object."""
+
+    @staticmethod
+    def of(scene: Scene, config: Config, solids: tuple[HandObject, ...], envelope: HandObject) -> Ends:
+        """Close the hands of a scene on each solid.
+
+        The hand opens until it is clear of all solids; from there each finger closes towards the grasp and as far
+        beyond it, until the solid stops it.
+
+        Args:
+            scene: Grasps on the most probable solid, any of which may be in the solid, or away from it.
+            config: Settings of the refinement.
+            solids: The hand with each solid.
+            envelope: The hand with the union of all solids.
+        """
+        hand, posed = scene.hand, scene.posed
+        T_open, q_open = open_hand(replace(scene, object=envelope.object), envelope)
+        T = np.where(posed[:, None, None], scene.T_world_root, np.eye(4))
+        q_open = np.where(posed[:, None], q_open, 0.0)
+        q = np.where(posed[:, None], scene.q, 0.0)
+        q_end = np.where(hand.arm_joints, q, np.clip(q_open + REACH * (q - q_open), hand.lower, hand.upper))
+        q_open = np.where(hand.arm_joints, q, q_open)
+        found = []
+        for prepared in solids:
+            chain, links = prepared.chain, prepared.chain.links
+            closed = close_until_stopped(prepared, T, q_open, q_end)
+            frames = chain(T, closed)
+            value = judge(prepared, frames, clearances(config, hand, chain), scene.demand)[2]
+            cutoff = CONTACTS.cutoff(hand, links)
+            witness = prepared.query(np.zeros(len(T), dtype=np.int64), frames.T_world_link, cutoff=cutoff)
+            near = CONTACTS.choose(hand, links, witness) & (witness.distance <= RELEASE_GAP_M)
+            depth = np.where(witness.valid, -witness.distance, 0.0).max(axis=1, initial=0.0)
+            room = np.interp(depth, IN_THE_WAY_M, (1.0, 0.0))
+            found.append((closed, np.where(posed, value * room, 0.0), near, witness.point_b, witness.normal))
+        return Ends(T_open, q_open, *(np.stack(parts, axis=1) for parts in zip(*found, strict=True)))
+
+    def motion(self, scene: Scene, solids: tuple[HandObject, ...], *, pressure: float | None = None) -> Motion:
+        """Return the motion that closes the hands: to where the most probable solid stops them, and beyond.
+
+        The squeeze presses on all solids: the thinnest decides how far each joint closes.
+
+        Args:
+            scene: Grasps on the most probable solid, as the hands end there.
+            solids: The hand with each solid.
+            pressure: As for `squeeze`.
+        """
+        each = [
+            squeeze(replace(scene, object=solid.object, q=self.q[:, k]), solid, total=pressure)
+            for k, solid in enumerate(solids)
+        ]
+        pressing, way = each[0], np.sign(scene.q - self.q_open)
+        farthest = (way * np.stack([one.q for one in each])).max(axis=0)
+        q = np.where(way != 0.0, way * farthest, pressing.q)
+        T = np.stack([self.T_open, scene.T_world_root, scene.T_world_root], axis=1)
+        return Motion(T, np.stack([self.q_open, scene.q, q], axis=1), pressing.forces)
+
+
+def best_attempt(
+    scene: Scene, attempts: list[Scene], ends: list[Ends], weights: Float[np.ndarray, " K"], config: Config
+) -> np.ndarray:
+    """Return the index (N,) of the attempt at each grasp to keep, by the probability that it holds over all solids.
+
+    As `Config.prefer` says, it is the attempt nearest to the input grasp among the good enough, or the most probable.
+
+    Args:
+        scene: The input grasps.
+        attempts: Attempts at all of them.
+        ends: Ends of each attempt.
+        weights: Probability of each solid.
+        config: Settings of the refinement.
+    """
+    probability = np.stack([each.value @ weights for each in ends])
+    choice = np.round(probability, 6).argmax(axis=0)
+    if config.prefer == "strongest":
+        return choice
+    measure = Displacement.of(scene.hand)
+    T, q = scene.T_world_root, scene.q
+    with np.errstate(invalid="ignore"):
+        away = np.stack([measure.between(T, q, each.T_world_root, each.q) for each in attempts])
+    enough = probability >= config.confidence
+    nearest = np.where(enough, away, np.inf).argmin(axis=0)
+    return np.where(enough.any(axis=0), nearest, choice)

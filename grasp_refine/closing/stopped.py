@@ -1,0 +1,52 @@
+"""Closing of fingers along a path of the joints, until the object stops them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from grasp_refine.core.array_types import Float
+from grasp_refine.scene.hand_object import HandObject
+
+NUM_STEPS = 24
+"""Steps of a joint from one end of its path to the other."""
+
+NUM_HALVINGS = 5
+"""Halvings of the step where a link would touch: fingers of hands in use stop within about 0.1 mm."""
+
+
+def close_until_stopped(
+    prepared: HandObject,
+    T_world_root: Float[np.ndarray, "N 4 4"],
+    q_open: Float[np.ndarray, "N n"],
+    q_end: Float[np.ndarray, "N n"],
+) -> Float[np.ndarray, "N n"]:
+    """Return the joint values (N, n) at which the object stops the fingers.
+
+    All joints move from `q_open` to `q_end`, each by an even share of its path, while the base link stays. A joint
+    stops when a link that it moves touches the object; joints of links beyond go on. A joint that nothing stops ends at
+    `q_end`.
+
+    Args:
+        prepared: Hand and object.
+        T_world_root: Poses (N, 4, 4) of the base link, object frame, metres.
+        q_open: Joint values (N, n) at which the hand is open.
+        q_end: Joint values (N, n) at which the paths end.
+    """
+    chain = prepared.chain
+    moves = chain.joint_mask(np.arange(len(chain.links)))[:, 6:] @ (chain.joint_gains != 0.0) > 0.0
+    path = q_end - q_open
+    share = np.zeros_like(q_open)
+    step = np.where(path != 0.0, 1.0 / NUM_STEPS, 0.0)
+    number = np.zeros(len(path), dtype=np.int64)
+    for _ in range(2 * NUM_STEPS + NUM_HALVINGS):
+        rows = np.flatnonzero(step.any(axis=1))
+        if not len(rows):
+            break
+        tried = np.minimum(share[rows] + step[rows], 1.0)
+        T_link = chain(T_world_root[rows], q_open[rows] + tried * path[rows]).T_world_link
+        witness = prepared.query(number[rows], T_link, cutoff=0.0)
+        touches = ((witness.valid & (witness.distance <= 0.0))[..., None] & moves).any(axis=1) & (step[rows] > 0.0)
+        share[rows] = np.where(touches, share[rows], tried)
+        by = np.where(touches, 0.5 * step[rows], step[rows])
+        step[rows] = np.where((~touches & (tried >= 1.0)) | (by < 0.5**NUM_HALVINGS / NUM_STEPS), 0.0, by)
+    return q_open + share * path
