@@ -138,7 +138,7 @@ def test_grasps_that_are_not_finite_have_no_metrics_and_spoil_no_other(hand: Han
     T[0, 2, 2], q[2, 1] = np.nan, np.inf
     found, alone = metrics(hand, ball, T, q), metrics(hand, ball, T[1:2], q[1:2])
     for name in found.values:
-        # There is no scene, no region and no arm.
-        middle = name in ("scene_penetration_m", "region_miss_m", "arm_dexterity_m")
+        # There is no scene, no region, no arm and no scan.
+        middle = name in ("scene_penetration_m", "region_miss_m", "arm_dexterity_m", "likely_quality", "contacts_seen")
         np.testing.assert_array_equal(np.isnan(getattr(found, name)), [True, middle, True], err_msg=name)
         np.testing.assert_array_equal(getattr(found, name)[1:2], getattr(alone, name))
