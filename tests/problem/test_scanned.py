@@ -8,6 +8,7 @@ import pytest
 import grasp_refine as gr
 from grasp_refine.closing.hypotheses import Ends
 from grasp_refine.geometry.pieces import Piece, hull
+from grasp_refine.objects.scanned import scanned_object
 from grasp_refine.problem.scanned import next_views
 from grasp_refine.scans.hypothesis import Hypothesis
 from grasp_refine.scans.scan import Scan
@@ -35,7 +36,7 @@ def scan() -> Scan:
 def scanned(scan: Scan, depths: dict[float, float]) -> gr.Object:
     """An object that may be boxes of some depths, by probability."""
     found = tuple(Hypothesis("extruded", box(depth), weight) for depth, weight in depths.items())
-    return replace(gr.load_object("box:0.06,0.06,0.1"), supplied=found[0].pieces, scan=scan, hypotheses=found)
+    return scanned_object("box", scan, found)
 
 
 @pytest.fixture(scope="module")
@@ -57,9 +58,9 @@ def test_where_all_solids_are_alike_quality_is_that_of_the_solid(scan: Scan, han
 
 def test_quality_is_over_all_solids_and_what_was_not_seen_is_said(scan: Scan, hand: gr.Hand, grasps: gr.GraspSet):
     # No hand reaches around the second one.
-    obj = scanned(scan, {0.06: 0.6})
     large = (hull(5.0 * box(0.06)[0].vertices - [4 * FRONT, 0.0, 0.0]),)
-    obj = replace(obj, hypotheses=(obj.hypotheses[0], Hypothesis("extruded", large, 0.4)))
+    both = Hypothesis("extruded", box(0.06), 0.6), Hypothesis("extruded", large, 0.4)
+    obj = scanned_object("box", scan, both)
     found = gr.refine(hand, obj, grasps, QUICK)
     likely, quality = found.outcome["likely_quality"][:, 1], found.quality[:, 1]
     assert (quality <= 0.6).all()
