@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from grasp_refine.core.array_types import Bool, Float
+from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.errors import MeshError
 from grasp_refine.core.se3 import inverse, transform, transform_points
 from grasp_refine.geometry.z_buffer import rasterize
@@ -122,8 +122,8 @@ def depth_of(
     return np.where(nearest < 0, 0.0, -1.0 / least)
 
 
-def depth_noise(depth: Float[np.ndarray, "*n"], intrinsics: Intrinsics = D435) -> Float[np.ndarray, "*n"]:
-    """Return the standard deviation of depths of a RealSense D435, metres."""
+def depth_noise(depth: Any, intrinsics: Intrinsics = D435) -> Any:
+    """Return the standard deviation of depths of a RealSense D435, metres: numbers or arrays."""
     return depth**2 * (SUBPIXEL / (intrinsics.fx * BASELINE_M))
 
 
@@ -209,15 +209,26 @@ def scan_of_depth(
     Raises:
         MeshError: there are too few points, they are flat, or they are several objects.
     """
+    points, view, noise = seen_in_depth(depths, masks, intrinsics, poses)
+    origins = np.array([pose[:3, 3] for pose in poses]).reshape(-1, 3)
+    return scan_of_points(points, None, origins, view, name, noise_m=noise)[0]
+
+
+def seen_in_depth(
+    depths: Sequence[Float[np.ndarray, "H W"]],
+    masks: Sequence[Bool[np.ndarray, "H W"]] | None,
+    intrinsics: Intrinsics,
+    poses: Sequence[Float[np.ndarray, "4 4"]],
+) -> tuple[Float[np.ndarray, "P 3"], Int[np.ndarray, " P"], float]:
+    """Return the points (P, 3) of depth pictures as of `scan_of_depth`, the picture (P,) of each, and their noise."""
     views = [
         points_of_depth(depth, None if masks is None else masks[at], intrinsics, pose)
         for at, (depth, pose) in enumerate(zip(depths, poses, strict=True))
     ]
-    view = np.repeat(np.arange(len(views)), [len(points) for points in views])
-    distance = [np.median(depth[depth > 0]) for depth in depths if (depth > 0).any()]
-    noise = float(depth_noise(np.array([np.median(distance)]), intrinsics)[0]) if distance else 0.0
-    origins = np.array([pose[:3, 3] for pose in poses]).reshape(-1, 3)
-    return scan_of_points(np.concatenate([np.zeros((0, 3)), *views]), None, origins, view, name, noise_m=noise)[0]
+    distances = [(points - pose[:3, 3]) @ pose[:3, 2] for points, pose in zip(views, poses, strict=True)]
+    points, distance = np.concatenate([np.zeros((0, 3)), *views]), np.concatenate([np.zeros(0), *distances])
+    noise = float(depth_noise(np.median(distance), intrinsics)) if len(points) else 0.0
+    return points, np.repeat(np.arange(len(views)), [len(part) for part in views]), noise
 
 
 def _turn(depth: Float[np.ndarray, "H W"], intrinsics: Intrinsics) -> Float[np.ndarray, "H W"]:
