@@ -179,8 +179,7 @@ class Scene:
     @property
     def posed(self) -> Bool[np.ndarray, " N"]:
         """Mask (N,) of grasps with a valid pose: poses are rigid, and poses and joint values within `MAX_MAGNITUDE`."""
-        near = self.finite & (np.abs(self.T_world_root) <= MAX_MAGNITUDE).all(axis=(1, 2))
-        return near & is_rigid(self.T_world_root) & (np.abs(self.q) <= MAX_MAGNITUDE).all(axis=1)
+        return is_posed(self.T_world_root, self.q)
 
     @property
     def valid(self) -> Bool[np.ndarray, " N"]:
@@ -212,6 +211,12 @@ class Scene:
 
         arrays: dict[str, Any] = {name: kept(getattr(self, name)) for name in GRASP_FIELDS}
         return replace(self, **arrays)
+
+
+def is_posed(T_world_root: np.ndarray, q: np.ndarray) -> Bool[np.ndarray, " N"]:
+    """Return a mask (N,) of valid poses (N, 4, 4) and joint values (N, n): rigid, and within `MAX_MAGNITUDE`."""
+    near = (np.abs(T_world_root) <= MAX_MAGNITUDE).all(axis=(1, 2)) & (np.abs(q) <= MAX_MAGNITUDE).all(axis=1)
+    return near & is_rigid(T_world_root)
 
 
 def is_out_of_reach(hand: Hand, T_world_root: np.ndarray, q: np.ndarray) -> Bool[np.ndarray, " N"]:

@@ -32,11 +32,14 @@ from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.option_rules import OptionGroup
 from grasp_refine_apps.commands.options import OptionalFile, Overwrite
 from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.report.command_line import in_options, invocation
 from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 
 if TYPE_CHECKING:
+    import viser
+
     from grasp_refine.problem.problem import Problem
     from grasp_refine.validation.replay.replay import Replay
     from grasp_refine_apps.viewer.files.validation_file import ValidationFile
@@ -45,6 +48,9 @@ if TYPE_CHECKING:
     from grasp_refine_apps.viewer.model.recording import Recording
     from grasp_refine_apps.viewer.panels.app import Viewer
 
+
+PAGE_PATIENCE_S, PAGE_DRAWING_S = 10.0, 1.0
+"""Longest wait until an opened page is there to show an error, and time in which it shows it, seconds."""
 
 SIGNAL_POLL_S = 0.2
 """Longest delay until a signal is noticed, seconds."""
@@ -104,7 +110,7 @@ class View:
         # Refused before anything is shown.
         self.settings.config()
         # First, so that a browser can load the page, and show the progress, while the rest loads.
-        page = open_server(self.serving.host, self.serving.port)
+        page = open_server(self.serving.host, self.serving.port, invocation("view", self))
         try:
             screen().print(f"{page.address} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
             sys.stdout.flush()
@@ -119,7 +125,13 @@ class View:
             # Loads packages for seconds.
             from grasp_refine_apps.viewer.panels.app import Viewer
 
-            controller = self._controller(lambda what: loading.show(f"Opening: {what} …"))
+            try:
+                controller = self._controller(lambda what: loading.show(f"Opening: {what} …"))
+            except GraspRefineError as error:
+                loading.show(f"error: {in_options(' '.join(str(error).split()))}", bad=True)
+                # The page of a browser that was opened above comes first, and then its text.
+                _wait_for_page(page.server, PAGE_PATIENCE_S if self.serving.open and _has_screen() else 0.0)
+                raise
             loading.show("Opening: drawing …")
             with Viewer(page, controller):
                 loading.show("")
@@ -174,13 +186,14 @@ class View:
         self, inputs: Inputs, say: Callable[[str], None], wait: Callable[[str], None], *, shown: bool = True
     ) -> Collection:
         """Load grasps; all objects are read and checked, only the shown one is decomposed."""
-        from grasp_refine_apps.viewer.model.collection import Collection
+        from grasp_refine_apps.viewer.model.collection import Collection, posed_in
 
         # A suspected convention is seen best.
         inputs = replace(inputs, as_is=True)
         loader = Loader(inputs, self.settings.seed, say, wait)
         problem = loader.problem()
-        first = next((at for at, group in enumerate(problem.groups) if 0 in group.place), 0) if shown else None
+        number = int(posed_in(problem).argmax())
+        first = next((at for at, group in enumerate(problem.groups) if number in group.place), 0) if shown else None
         rough = [at for at, group in enumerate(problem.groups) if at != first and group.scene.object.takes_long]
         return Collection.of(loader.prepare(problem, rough=rough))
 
@@ -274,6 +287,15 @@ def _wait(controller: Controller) -> None:
     last = threading.Timer(CLEANUP_LIMIT_S, os._exit, (0,))
     last.daemon = True
     last.start()
+
+
+def _wait_for_page(server: viser.ViserServer, seconds: float) -> None:
+    """Wait until there is a page, for some seconds at most, and then until it shows what was sent."""
+    end = time.monotonic() + seconds
+    while not server.get_clients() and time.monotonic() < end:
+        time.sleep(SIGNAL_POLL_S)
+    if server.get_clients():
+        time.sleep(PAGE_DRAWING_S)
 
 
 def _has_screen() -> bool:

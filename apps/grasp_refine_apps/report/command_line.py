@@ -11,7 +11,7 @@ from typing import Any, get_type_hints
 WRITTEN = ("json", "html", "markdown", "overwrite")
 """Options for output files."""
 
-POSITIONAL = ("jobs",)
+POSITIONAL = ("jobs", "files")
 """Options without a name on the command line."""
 
 

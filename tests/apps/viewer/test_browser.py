@@ -166,7 +166,7 @@ def test_a_link_opens_grasp_and_tab_and_all_pages_see_the_same(
     until(lambda: tab.count() and tab.get_attribute("aria-selected") == "true", "the tab of the link")
     until(lambda: viewer.controller.state.number == 2, "the grasp of the link")
     until(lambda: "tab=validate" in other.page.evaluate("() => location.search"), "the tab in the address")
-    until(lambda: "grasp=2" in page.page.evaluate("() => location.search"), "the grasp in the other address")
+    until(lambda: "grasp=mug+2" in page.page.evaluate("() => location.search"), "the grasp in the other address")
     until(lambda: other.page.title().startswith("mug.npz"), "the file in the title")
     # A small window has scene and panel, and the whole hand in the scene.
     until(lambda: other.scene_size() == (312.0, 500.0), "a scene beside the panel")

@@ -34,6 +34,7 @@ from grasp_refine_apps.viewer.drawing.scene_nodes import (
     Arrows,
     ColoredPatches,
     HandMeshes,
+    Labels,
     Lines,
     Meshes,
     PointMarkers,
@@ -45,7 +46,6 @@ from grasp_refine_apps.viewer.meters.comparison import compared_pose
 from grasp_refine_apps.viewer.meters.obstacles import TABLE
 from grasp_refine_apps.viewer.model.contacts import Contacts, Forces
 from grasp_refine_apps.viewer.model.pose import Pose
-from grasp_refine_apps.viewer.model.recording import Recording
 from grasp_refine_apps.viewer.model.state import State
 
 GRASP_NODE = "/grasp"
@@ -70,6 +70,9 @@ CONE_COLOR = (110, 150, 225)
 
 FORCE_THICKNESS = 0.4
 """Thickness of the arrows of forces, as a share of that of a push."""
+
+LEAST_FORCE_N = 0.05
+"""Least force in newtons that has a text."""
 
 TABLE_COLOR = (200, 190, 175)
 """Colour of the table."""
@@ -136,6 +139,7 @@ class GraspNodes:
         self._gap_field: GapField | None = None
         self._depth_fields: dict[Body, DepthField] = {}
         self.forces = Arrows(scene, f"{GRASP_NODE}/forces", FORCE_THICKNESS * length, FORCE_COLOR)
+        self.newtons = Labels(scene, f"{GRASP_NODE}/forces_text")
         self.cones = Lines(scene, f"{GRASP_NODE}/cones", 1.5)
         self.patches = ColoredPatches(scene, f"{GRASP_NODE}/contacts/patches")
         self.outlines = Lines(scene, f"{GRASP_NODE}/contacts/outlines", 2.5)
@@ -160,6 +164,7 @@ class GraspNodes:
         shown = state.shown
         place(self.root, state.T_world_object)
         self.hand.move(shown)
+        self.hand.show(shown.posed)
         place(self.object_frame, state.T_shown_object)
         self._draw_ghost(state)
         overlaps = self._overlaps_of(state) if self._display.surroundings else ()
@@ -170,11 +175,14 @@ class GraspNodes:
             blocking |= blocked
         self.met.draw(NO_POINTS if met is None else np.array([met.place]))
         if state.motion is not None:
-            self._draw_simulated_contacts(state.motion, state.motion_frame)
+            touched = state.motion.contacts and self._display.contacts
+            self._draw_touched(state.motion.contacts[state.motion_frame] if touched else NO_POINTS)
             self.hand.tint(blocked, DEEP_COLOR)
-        elif shown.finite:
+        elif shown.posed:
             elsewhere = self._elsewhere_of(state) if self._display.regions else ()
             self._draw_contacts(state, blocked | {one.link for one in elsewhere})
+        else:
+            self._draw_touched(NO_POINTS)
         self.regions.draw(state.scene.regions if self._display.regions else None)
         self._draw_surroundings(state, blocking)
         self._draw_push(state)
@@ -190,7 +198,7 @@ class GraspNodes:
     def corners(
         self, pose: Pose, T_object: Float[np.ndarray, "4 4"] | None = None, *, arm: bool = False
     ) -> Float[np.ndarray, "N 3"]:
-        """Points (N, 3) on hand and object, enough to give their extent, in the frame of the pose.
+        """Points (N, 3) on the object and on a hand that can be drawn, enough to give their extent, frame of the pose.
 
         Args:
             pose: Pose of the hand.
@@ -198,10 +206,11 @@ class GraspNodes:
             arm: Whether the arm of a hand that is on one counts.
         """
         whole = arm and self.prepared.hand.arm is not None
-        T = self._poses(pose.T_object_root, pose.q)
         points = [transform_points(np.eye(4) if T_object is None else T_object, s.vertices) for s in self.object_shapes]
         shown = [shape for shape in self.shapes if whole or not shape.faded]
-        points += [transform_points(T[shape.link], shape.vertices.astype(float)) for shape in shown]
+        if pose.posed:
+            T = self._poses(pose.T_object_root, pose.q)
+            points += [transform_points(T[shape.link], shape.vertices.astype(float)) for shape in shown]
         every = max(sum(map(len, points)) // 4000, 1)
         return np.concatenate(points)[::every].astype(float)
 
@@ -220,7 +229,7 @@ class GraspNodes:
         wanted = self._display.input_hand and not state.side_by_side if pose is None else True
         color, opacity = (GHOST_COLOR, GHOST_OPACITY) if pose is None else (COMPARED_COLOR, COMPARED_OPACITY)
         pose = state.initial if pose is None else pose
-        self.ghost.show(wanted and state.motion is None and not pose.same(state.shown))
+        self.ghost.show(wanted and pose.posed and state.motion is None and not pose.same(state.shown))
         self.ghost.move(pose)
         for node in self.ghost.nodes:
             node.color, node.opacity = color, opacity
@@ -247,7 +256,7 @@ class GraspNodes:
         self.picked.draw(picked)
         refining = state.job is not None and state.job.kind == "refine"
         self._draw_patches(found if on and not refining else None)
-        self._draw_forces(found.forces if self._display.forces and not refining else None)
+        self._draw_forces(found.forces if self._display.forces and not refining else None, state.pressure_n)
         self._draw_depths(found if self._display.overlap and not refining else None)
         self._draw_gaps(found if self._display.gaps and not refining else None)
 
@@ -297,9 +306,8 @@ class GraspNodes:
             self._depth_fields[body] = DepthField.of(body)
         return self._depth_fields[body]
 
-    def _draw_simulated_contacts(self, motion: Recording, frame: int) -> None:
-        """Draw the points where the object touches in a simulation, and no targets or forces."""
-        points = motion.contacts[frame] if motion.contacts and self._display.contacts else NO_POINTS
+    def _draw_touched(self, points: Float[np.ndarray, "N 3"]) -> None:
+        """Draw the points (N, 3) where the object touches in a simulation, and no targets or forces."""
         for markers in (self.points_link, self.targets, self._targets_link, self.picked):
             markers.draw(NO_POINTS)
         for lines in (self._lines, self._target_lines):
@@ -321,7 +329,7 @@ class GraspNodes:
         """Draw the ground, which stays where it was first, and the shadow of hand and object."""
         shown, T = state.shown, state.T_world_object
         seen = shown.T_object_root.tobytes(), shown.q.tobytes(), T.tobytes(), state.T_shown_object.tobytes()
-        if not (shown.finite and self._display.ground) or seen == self._shadow_of:
+        if not (shown.posed and self._display.ground) or seen == self._shadow_of:
             return
         self._shadow_of = seen
         obj = transform_points(state.T_shown_object, surface_points(self.prepared.object.body))
@@ -337,14 +345,20 @@ class GraspNodes:
             self._ground = Ground(self._scene, floor, size, height)
         self._ground.draw(points)
 
-    def _draw_forces(self, forces: Forces | None) -> None:
-        """Draw contact forces as arrows into the object, and outlines of cones; None: nothing."""
+    def _draw_forces(self, forces: Forces | None, total_n: float = 0.0) -> None:
+        """Draw contact forces as arrows into the object with their newtons, and outlines of cones; None: nothing."""
         if forces is None:
             self.forces.draw(np.zeros((0, 2, 3)))
+            self.newtons.draw((), NO_POINTS)
             self.cones.draw(np.zeros((0, 2, 3)), NO_POINTS)
             return
         body = self.prepared.object.body
-        self.forces.draw(force_arrows(forces.point, forces.force, body))
+        arrows = force_arrows(forces.point, forces.force, body)
+        self.forces.draw(arrows)
+        # An arrow that points at the camera is a dot.
+        newtons = total_n * np.linalg.norm(forces.force, axis=1)
+        pushing = newtons > LEAST_FORCE_N
+        self.newtons.draw([f"{one:.1f} N" for one in newtons[pushing]], forces.point[pushing])
         cones = friction_cones(forces.point, forces.normal, PLANNING_FRICTION, body)
         self.cones.draw(cones, np.full((len(cones), 3), CONE_COLOR))
 

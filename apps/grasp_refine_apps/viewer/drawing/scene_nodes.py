@@ -105,7 +105,7 @@ class HandMeshes(Meshes):
 
     def move(self, pose: Pose) -> None:
         """Put the hand at a pose in the frame of its parent."""
-        if pose is self._at or not pose.finite:
+        if pose is self._at or not pose.posed:
             return
         self._at = pose
         T = self.poses(pose.T_object_root, pose.q)
@@ -167,6 +167,24 @@ class PointMarkers:
             else:
                 self.nodes[k].position, self.nodes[k].color = point, color
         return range(before, len(points))
+
+
+class Labels:
+    """Texts at points, as many as there are at a time."""
+
+    def __init__(self, scene: viser.SceneApi, name: str) -> None:
+        """Start without texts."""
+        self._scene, self._name = scene, name
+        self.nodes: list[Any] = []
+
+    def draw(self, texts: Sequence[str], points: Float[np.ndarray, "N 3"]) -> None:
+        """Draw N texts, each at its point, frame of the parent."""
+        while len(self.nodes) > len(texts):
+            self.nodes.pop().remove()
+        for k, (text, point) in enumerate(zip(texts, points, strict=True)):
+            if k == len(self.nodes):
+                self.nodes.append(self._scene.add_label(f"{self._name}/{k}", text, position=point))
+            self.nodes[k].text, self.nodes[k].position = text, point
 
 
 class ColoredPatches:

@@ -11,7 +11,15 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.environment import Environment
-from grasp_refine_apps.viewer.drawing.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, first_camera_of, fit_camera
+from grasp_refine_apps.viewer.drawing.camera import (
+    FIELD_OF_VIEW_RAD,
+    UP,
+    FirstCamera,
+    first_camera,
+    first_camera_of,
+    fit_camera,
+    surface_points,
+)
 from grasp_refine_apps.viewer.drawing.grasp_nodes import GraspNodes
 from grasp_refine_apps.viewer.drawing.ground import ABOVE, LEAST_SLANT, light
 from grasp_refine_apps.viewer.jobs.controller import Controller
@@ -75,10 +83,12 @@ class View:
 
     def _choose_camera(self, state: State, nodes: GraspNodes) -> None:
         """Place all cameras so that hand and object are fully in view."""
-        shown = state.shown
-        if not shown.finite:
-            return
-        self._camera = first_camera_of(self._controller.contacts(state), state.T_world_object, aspect=ASPECT_RATIO)
+        T = state.T_world_object
+        if state.shown.posed:
+            self._camera = first_camera_of(self._controller.contacts(state), T, aspect=ASPECT_RATIO)
+        else:
+            obj = transform_points(T, surface_points(nodes.prepared.object.body))
+            self._camera = first_camera(obj[:0], obj, obj[:0], aspect=ASPECT_RATIO)
         light(self.server.scene, self._camera)
         across = np.cross(self._camera.look_at - self._camera.position, UP)
         nodes.right = across / np.linalg.norm(across)
@@ -94,7 +104,7 @@ class View:
         """
         nodes, state = self.nodes, self._controller.state
         self._aspects[client.client_id] = aspect
-        if nodes is None or not state.shown.finite:
+        if nodes is None:
             return
         camera = client.camera
         seen: Any = self._camera if first and self._camera is not None else camera
@@ -117,7 +127,7 @@ class View:
             ends = [nodes.corners(motion.pose(k), motion.object_pose(k), arm=True) for k in (0, -1)]
         elif motion is not None and motion.travels:
             # Objects that are lost may be anywhere.
-            ends = [nodes.corners(pose) for pose in map(motion.pose, (0, -1)) if pose.finite]
+            ends = [nodes.corners(pose) for pose in map(motion.pose, (0, -1)) if pose.posed]
         points = np.concatenate([points, *(transform_points(state.T_world_object, end) for end in ends)])
         compared = compared_pose(state)
         if compared is not None:

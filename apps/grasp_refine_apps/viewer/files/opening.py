@@ -48,6 +48,8 @@ class MeshOptions:
     """Unit of its numbers; None: metres, and an error if that is unlikely."""
     holes: Holes = "refuse"
     """Treatment of a mesh with holes."""
+    scale: float = 1.0
+    """Factor on its numbers, besides the unit."""
 
 
 @dataclass(frozen=True)
@@ -112,14 +114,14 @@ def _for_uploader(text: str, upload: Upload) -> str:
             text = text.replace(f"`unit='{unit}'` ", f'Mesh unit "{words}" ')
         for holes, words in HOLE_LABELS.items():
             text = text.replace(f"`holes='{holes}'`", f'Mesh holes "{words}"')
-        text = text.replace(", or another `scale`", "")
+        text = text.replace("another `scale`", "another Mesh scale")
     return text if text.startswith(upload.name) else f"{upload.name}: {text}"
 
 
 def _with_object(upload: Upload, scene: Scene, pose: Pose, options: MeshOptions, control: Control) -> Problem:
     """Return the present grasp on an uploaded object."""
-    obj = _load_mesh(upload, 1.0, options, control)
-    scale = UNITS[options.unit or "m"]
+    obj = _load_mesh(upload, options.scale, options, control)
+    scale = options.scale * UNITS[options.unit or "m"]
     grasps = GraspSet.of(scene.hand, pose.T_object_root[None], pose.q[None], object=obj.name, scale=scale)
     notes = [f"{obj.name}: {note}" for note in obj.notes]
     return _problem(upload, scene, scene.hand, grasps, {(obj.name, scale): obj}, notes, sampled=True)
@@ -130,9 +132,10 @@ def _attached(upload: Upload, open_now: Opened, name: str, options: MeshOptions,
     problem, groups, notes = open_now.problem, [], []
     for group in problem.groups:
         if group.object == name:
-            obj = _load_mesh(upload, group.scale, options, control)
+            scale = group.scale * options.scale
+            obj = _load_mesh(upload, scale, options, control)
             notes += [f"{name}: {note}" for note in obj.notes]
-            scale = group.scale * UNITS[options.unit or "m"]
+            scale *= UNITS[options.unit or "m"]
             group = replace(group.on(obj), scale=scale)
         groups.append(group)
     others = [note for note in problem.notes if not note.startswith(_stand_in_note(name))]

@@ -75,7 +75,7 @@ def grasp_set(
     Raises:
         GraspFileError: the pose or the joint values are not finite.
     """
-    if not pose.finite:
+    if not pose.posed:
         raise GraspFileError("the shown grasp is not finite, so no file can hold it: reset it first")
     motion = closing_motion(posed_scene(scene, pose), prepared)
     opened, grasp, pressing = (
@@ -107,7 +107,7 @@ def grasp_sets(
     """
     hand = collection.hand
     poses = {number: work.standing for number, work in works.items()}
-    bad = [collection.label(number) for number, pose in poses.items() if not pose.finite]
+    bad = [collection.label(number) for number, pose in poses.items() if not pose.posed]
     if bad:
         raise GraspFileError(f"{', '.join(bad[:5])}: not finite, so no file can hold them: reset or leave them out")
     stages = _known_stages(collection, works)

@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
+from grasp_refine.core.plurals import count_text
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.jobs.background import Background
 from grasp_refine_apps.viewer.jobs.editor import Editor
@@ -35,7 +36,7 @@ class Controller(Store):
     """Store of the state of the open grasps, with its commands in parts."""
 
     def __init__(self, collection: Collection, settings: Any, compared: Collection | None = None) -> None:
-        """Show the first of the open grasps.
+        """Show the first of the open grasps that can be drawn.
 
         Args:
             collection: The grasps.
@@ -45,12 +46,16 @@ class Controller(Store):
         Raises:
             GraspRefineError: the compared grasps are of another hand.
         """
-        state = State.first(collection, 0, settings)
+        state = State.first(collection, collection.first, settings)
         if compared is not None:
             check_comparable(collection, compared)
             other = Shelved(compared, 0, {}, Listing())
             state = replace(state, shelf=(other,), compared=other)
         super().__init__(state)
+        if state.number:
+            why = collection.undrawn(0).split(":")[0]
+            count = count_text(int((~collection.posed).sum()), "grasp")
+            self.notify(f"{count} cannot be drawn, such as the first ({why}); Browse lists why")
         # Prepared once for refinement and simulation; for the worker alone.
         prepare, make_world = lru_cache(1)(HandObject), world_cache()
         self.contacts = ContactMeter()

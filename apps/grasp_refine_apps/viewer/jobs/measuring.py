@@ -17,12 +17,12 @@ BATCH_SIZE = 8
 
 
 def unmeasured(collection: Collection) -> Bool[np.ndarray, " N"]:
-    """True for grasps (N,) without measures, from a file or from measuring, whose object is cut."""
+    """True for grasps (N,) without measures that can be drawn and whose object is cut."""
     known = np.zeros(len(collection), dtype=bool)
     for key in measured_columns():
         if key in collection.columns:
             known |= collection.columns[key].known
-    return ~known & ~np.isin(collection.group_of, list(collection.rough))
+    return ~known & collection.posed & ~np.isin(collection.group_of, list(collection.rough))
 
 
 def with_measures(

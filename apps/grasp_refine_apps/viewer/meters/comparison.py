@@ -41,7 +41,7 @@ def compared_pose(state: State) -> Pose | None:
         return None
     work = compared.works.get(number)
     pose = compared.collection.pose(number) if work is None else work.standing
-    return pose if pose.finite else None
+    return pose if pose.posed else None
 
 
 def compared_text(state: State, contacts_of: ContactMeter) -> str:

@@ -56,7 +56,7 @@ class ObstacleMeter:
             prepared: Its hand and object.
         """
         scene, pose = state.scene, state.shown
-        if (scene.environment is None and scene.table is None) or not pose.finite:
+        if (scene.environment is None and scene.table is None) or not pose.posed:
             return ()
         with self._lock:
             around = self._around

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from grasp_refine.core.array_records import take
-from grasp_refine.core.array_types import Float, Int, Shaped
+from grasp_refine.core.array_types import Bool, Float, Int, Shaped
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.refined import RefinedGrasps
+from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.model.columns import (
@@ -125,6 +127,39 @@ class Collection:
     def objects(self) -> Shaped[np.ndarray, " N"]:
         """The name of each grasp's object (N,)."""
         return np.array([group.object for group in self.problem.groups])[self.group_of]
+
+    @cached_property
+    def posed(self) -> Bool[np.ndarray, " N"]:
+        """True for the grasps (N,) that can be drawn as in their file."""
+        return posed_in(self.problem)
+
+    @property
+    def first(self) -> int:
+        """Number of the first grasp that can be drawn; 0 if none can."""
+        return int(self.posed.argmax())
+
+    def undrawn(self, number: int) -> str:
+        """Return why a grasp as in its file cannot be drawn; empty if it can."""
+        if self.posed[number]:
+            return ""
+        group, row = self.group(number), self.member[number]
+        scene = group.scene
+        status = Status.INVALID if scene.finite[row] else Status.NOT_FINITE
+        status = Status.OUT_OF_REACH if scene.out_of_reach[row] else status
+        # Notes on arms say by how much.
+        for name in (self.name(number), group.index[row]):
+            for note in self.problem.notes:
+                if note.startswith(f"grasp {name} {status.label}: "):
+                    return note.removeprefix(f"grasp {name} ")
+        return f"{status.label}: {status.advice}"
+
+    def find(self, text: str) -> int | None:
+        """Return the number of the grasp that a link names, "mug 3" or its number; None: there is none."""
+        if text.isascii() and text.isdigit():
+            return int(text[:9]) if int(text[:9]) < len(self) else None
+        name, _, index = text.rpartition(" ")
+        named = np.flatnonzero(self.objects == name)
+        return next((n for n in named.tolist() if str(self.group(n).index[self.member[n]]) == index), None)
 
     @property
     def rough(self) -> Mapping[int, Object]:
@@ -249,3 +284,8 @@ class Collection:
         columns = (HELD.with_values(verdict.astype(str)), REASON.with_values(reason.astype(str)))
         known = trials or HELD.key in self.columns
         return replace(self.with_columns(*columns), trials=trials) if known else self
+
+
+def posed_in(problem: Problem) -> Bool[np.ndarray, " N"]:
+    """Return a mask (N,) of the grasps of a problem that can be drawn, in the requested order."""
+    return np.concatenate([group.scene.posed for group in problem.groups])[problem.order]

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from grasp_refine.core.array_types import Float
 from grasp_refine.grasps.grasp_set import Targets
 from grasp_refine.problem.problem import aim
-from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.scene import Scene, is_posed
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,13 +25,14 @@ class Pose:
     """Joint values (n,) in `Hand.joint_names` order; radians, metres for prismatic joints."""
 
     def same(self, other: Pose) -> bool:
-        """Return whether both poses are equal."""
-        return np.array_equal(self.T_object_root, other.T_object_root) and np.array_equal(self.q, other.q)
+        """Return whether both poses are equal; unknown values, such as of an arm that is out of reach, are equal."""
+        pairs = ((self.T_object_root, other.T_object_root), (self.q, other.q))
+        return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
 
-    @property
-    def finite(self) -> bool:
-        """Whether all values are finite."""
-        return bool(np.isfinite(self.T_object_root).all() and np.isfinite(self.q).all())
+    @cached_property
+    def posed(self) -> bool:
+        """Whether it can be drawn: a rigid motion, and finite values within bounds."""
+        return bool(is_posed(self.T_object_root[None], self.q[None])[0])
 
 
 @dataclass(frozen=True, eq=False)

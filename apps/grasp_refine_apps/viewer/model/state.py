@@ -266,6 +266,13 @@ class State:
         return np.eye(4) if self.motion is None else self.motion.object_pose(self.motion_frame)
 
     @property
+    def pressure_n(self) -> float:
+        """Sum of the normal forces of all contacts in newtons, of the last refinement or of the task."""
+        config = self.work.config
+        planned = None if config is None else config.pressure
+        return self.scene.demand.pressure_n if planned is None else float(planned)
+
+    @property
     def shelved(self) -> Shelved:
         """The open grasps, to be put on the shelf."""
         return Shelved(self.collection, self.number, self.works, self.listing)

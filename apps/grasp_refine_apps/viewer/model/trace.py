@@ -137,7 +137,7 @@ class Recorder:
             return float(np.abs(moved).max() + np.abs(one.pose.q - end.q).max())
 
         last = _Iteration(-1, end, gap, loss, "the best of all")
-        known = [one for one in self._iterations if one.pose.finite]
+        known = [one for one in self._iterations if one.pose.posed]
         run = min(known, key=distance).run if known else 0
         found = self._trace([*(one for one in self._iterations if one.run == run), self._measured(last)])
         assert found is not None

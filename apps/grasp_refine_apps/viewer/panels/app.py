@@ -174,7 +174,7 @@ def _heading(state: State, controller: Controller) -> str:
     lines = [f"<b>{html.escape(name)}</b>{badge(collection.hand)}"]
     if state.motion is not None:
         lines.append(html.escape(state.motion.text(state.motion_frame)))
-    elif state.shown.finite:
+    elif state.shown.posed:
         found = controller.contacts(state)
         lines.append(distances_text(found.contact_error, found.penetration, title_of(state)))
         if compared := compared_text(state, controller.contacts):
@@ -184,11 +184,12 @@ def _heading(state: State, controller: Controller) -> str:
         if elsewhere := elsewhere_text(controller.elsewhere(state)):
             lines.append(f'<span style="color:var(--gr-bad)">{html.escape(elsewhere)}</span>')
         if state.display.forces:
-            config = state.work.config
-            planned = None if config is None else config.pressure
-            total = state.scene.demand.pressure_n if planned is None else planned
+            total = state.pressure_n
             scale = newtons_per_centimetre(found.prepared.object.body, total)
             lines.append(f"forces: an arrow of 1 cm is {scale:.2g} N, all press with {total:g} N")
+    else:
+        why = state.collection.undrawn(state.number).split(":")[0] or "its pose is not finite"
+        lines.append(f'<span style="color:var(--gr-bad)">not drawn: {html.escape(why)}</span>')
     style = "padding:0.3em 1em;line-height:1.5;font-size:0.9em;overflow-wrap:anywhere"
     return f'<div style="{style}">{"<br>".join(lines)}{SCALE}</div>'
 

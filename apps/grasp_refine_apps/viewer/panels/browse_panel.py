@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from grasp_refine.measures.measures import COMPARED, DISPLACEMENT, Measure
+from grasp_refine.measures.measures import COMPARED, DISPLACEMENT, MEASURES, Measure
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.jobs.measuring import unmeasured
 from grasp_refine_apps.viewer.model.choice import CHOICES, chosen
@@ -40,10 +40,12 @@ from grasp_refine_apps.viewer.model.listing import (
     worst,
 )
 from grasp_refine_apps.viewer.model.marks import MARKS, Mark
+from grasp_refine_apps.viewer.model.pose import Pose
 from grasp_refine_apps.viewer.model.present import here_text, present, signature
 from grasp_refine_apps.viewer.model.state import Job, State
 from grasp_refine_apps.viewer.model.work import Work
 from grasp_refine_apps.viewer.panels.export_panel import shelf_titles
+from grasp_refine_apps.viewer.panels.form import plain
 from grasp_refine_apps.viewer.panels.histogram import brushed_range, histogram_html
 from grasp_refine_apps.viewer.panels.table import page_of, pages, table_html
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_choice, on_click
@@ -53,6 +55,8 @@ PREVIOUS, NEXT, RANDOM, WORST = "◀ Previous", "Next ▶", "Random", "Worst"
 NOTHING = "nothing"
 """Label of no comparison."""
 MEASURE = "Measure all"
+DISTANCES = MEASURES["contact_error_m"].entries["after"], MEASURES["penetration_m"].entries["after"]
+"""Keys of the columns that the contacts of a grasp fill."""
 GOOD, BAD, NO = "Good", "Bad", "None"
 ALL = "all"
 """Label of no filter."""
@@ -127,6 +131,9 @@ class BrowsePanel:
                 "mark": gui.add_dropdown("Marked", (ALL, *MARKS, NO_MARK), hint="Your mark of the grasps"),
             }
             self.download = gui.add_button("Download marks", hint="All marks as a table of comma-separated values")
+        self._edited: Pose | None = None
+        """Pose of the shown grasp whose distances are in the table, if it was edited."""
+        self.slow_draws = (self._draw_edited,)
         self._connect()
 
     def draw(self, state: State) -> None:
@@ -141,7 +148,7 @@ class BrowsePanel:
             if not listed and self._number == state.number and self.beside.value == state.side_by_side:
                 return
             if changed or self._collection is None:
-                self._collection, self._signature = present(state), new
+                self._collection, self._signature = self._with_distances(present(state), state), new
             if listed:
                 self._listed = state.listing.numbers(self._collection)
                 if self._listing != state.listing and not other:
@@ -156,6 +163,27 @@ class BrowsePanel:
             self._number = state.number
             self.beside.value = state.side_by_side
             self._draw_table()
+
+    def _draw_edited(self, state: State) -> None:
+        """Update the distances of a grasp that is being edited."""
+        with self._lock:
+            if state.number == self._number and state.pose is not self._edited and self._collection is not None:
+                before, self._collection = self._collection, self._with_distances(self._collection, state)
+                if self._collection is not before:
+                    self._draw_table()
+
+    def _with_distances(self, collection: Collection, state: State) -> Collection:
+        """Return the collection with the distances of the shown grasp if it was edited, as the heading has them."""
+        work, self._edited = state.work, state.pose
+        if not work.changed or work.outcome is not None or not work.pose.posed:
+            return collection
+        found = self._controller.contacts(state)
+        for key, value in zip(DISTANCES, (found.contact_error, found.penetration), strict=True):
+            if column := collection.columns.get(key):
+                values = column.values.copy()
+                values[state.number] = value
+                collection = collection.with_columns(column.with_values(values))
+        return collection
 
     def _connect(self) -> None:
         """Connect the widgets to commands."""
@@ -380,6 +408,8 @@ def metrics_html(collection: Collection, number: int, work: Work | None = None) 
 
 def _without_measures(collection: Collection, number: int, *, edited: bool) -> str:
     """Text on a grasp without measures."""
+    if why := collection.undrawn(number):
+        return plain(why)
     if collection.group_of[number] in collection.rough:
         return "its object is not cut yet"
     if edited:

@@ -74,6 +74,14 @@ class ExportPanel:
             self.unit = gui.add_dropdown(
                 "Mesh unit", (UNSPECIFIED_UNIT, *NAMES.values()), hint="Unit of the numbers in an uploaded mesh"
             )
+            self.scale = gui.add_number(
+                "Mesh scale",
+                1.0,
+                min=1e-6,
+                max=1e6,
+                step=1e-6,
+                hint="Factor on the size of an uploaded mesh, besides its unit",
+            )
             self.holes = gui.add_dropdown(
                 "Mesh holes", tuple(HOLE_LABELS.values()), hint="What to do with an uploaded mesh that is not closed"
             )
@@ -150,13 +158,16 @@ class ExportPanel:
 
     def _refused(self, name: str, size: int) -> None:
         text = f"{shown_name(name)}: {MAX_CONCURRENT_UPLOADS} files are being uploaded already; wait for them"
+        text = f"{shown_name(name)}: is empty" if not size else text
         self._controller.notify(too_large(name, size) if size > MAX_UPLOAD_BYTES else text, bad=True)
 
     def _uploaded(self, event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
         """Check and open what a browser sent."""
         file = event.target.value
         units, holes = {words: key for key, words in NAMES.items()}, {words: key for key, words in HOLE_LABELS.items()}
-        options = MeshOptions(units.get(self.unit.value), holes.get(self.holes.value, "refuse"))
+        options = MeshOptions(
+            units.get(self.unit.value), holes.get(self.holes.value, "refuse"), float(self.scale.value)
+        )
         now, shown = self._controller.state, shown_name(file.name)
         pose = now.standing
 
@@ -169,7 +180,7 @@ class ExportPanel:
             opened = open_upload(upload, now.scene, pose, control, options, open_now)
             found = Collection.of(opened.problem, opened.stand_ins)
             control.check()
-            self._controller.grasps.open(found, now.number if opened.attached else 0)
+            self._controller.grasps.open(found, now.number if opened.attached else found.first)
             self._controller.background.measure()
             self._controller.notify(opened_text(shown, found, opened, now.collection))
 

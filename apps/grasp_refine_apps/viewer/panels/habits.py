@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from html import escape
 from typing import Any
+from urllib.parse import unquote
 
 import viser
 
@@ -95,8 +96,10 @@ class Habits:
         value = rest.split(" ")[0]
         if what in self._commands:
             self._commands[what]()
-        elif what == "open" and value.isascii() and value.isdigit():
-            self._controller.grasps.show(int(value[:9]))
+        elif what == "open":
+            number = self._controller.state.collection.find(unquote(value))
+            if number is not None:
+                self._controller.grasps.show(number)
         elif what == "scheme":
             set_theme(client.gui, dark=value == "dark")
         elif what == "brush":
@@ -111,7 +114,8 @@ class Habits:
         page = {
             "channel": widget_id(self.channel),
             "keys": {key: name for name, (_, key, _) in KEYS.items()} | ALIASES,
-            "grasp": state.number,
+            "grasp": state.collection.name(state.number),
+            "number": state.number,
             "title": title(state.collection),
             "placeholders": dict(self._placeholders()),
         }

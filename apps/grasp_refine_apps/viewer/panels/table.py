@@ -13,6 +13,7 @@ from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.columns import FAILED_TEXT, HELD, HELD_TEXT, HERE, STATUS, Column
 from grasp_refine_apps.viewer.model.listing import MARK, NUMBER, Listing, column_of
 from grasp_refine_apps.viewer.model.names import shortened
+from grasp_refine_apps.viewer.panels.form import plain
 
 ROWS_PER_PAGE = 15
 """Grasps on one page of the table."""
@@ -52,6 +53,7 @@ STYLE = """<style>
 .gr-table th.gr-word{width:72px}
 .gr-table th small{display:block;min-height:1.4em}
 .gr-table small{font-weight:400;opacity:.65}
+.gr-table td.gr-why{white-space:normal;text-align:left}
 .gr-table th:first-child,.gr-table td:first-child{text-align:left}
 .gr-table tbody tr{cursor:pointer;border-bottom:1px solid rgba(128,128,128,.18)}
 .gr-table tbody tr:hover,.gr-table th:hover{background:rgba(128,128,128,.15)}
@@ -127,7 +129,12 @@ def _header(column: Column, listing: Listing, wide: str) -> str:
 def _row(collection: Collection, columns: list[Column], number: int, *, several: bool, opened: bool) -> str:
     group = collection.group(number)
     name = f" <small>{escape(shortened(group.object))}</small>" if several else ""
-    cells = "".join(_cell(column, number) for column in columns)
+    why = collection.undrawn(number)
+    if why:
+        # Beside each other they would all be empty.
+        cells = f'<td class="gr-unsure gr-why" colspan="{len(columns)}">{escape(plain(why))}</td>'
+    else:
+        cells = "".join(_cell(column, number) for column in columns)
     return (
         f'<tr data-do="open {number}"{" class=gr-open" if opened else ""} title="{escape(collection.name(number))}">'
         f"<td>{group.index[collection.member[number]]}{name}</td>{cells}</tr>"

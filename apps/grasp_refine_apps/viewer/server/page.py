@@ -99,8 +99,8 @@ class Page:
         return self.access.address(self.server.get_port())
 
 
-def open_server(host: str, port: int) -> Page:
-    """Start the server; port 0 is any that is free.
+def open_server(host: str, port: int, again: str = "") -> Page:
+    """Start the server; port 0 is any that is free. Its page names the command `again` when the program has ended.
 
     A host that others can reach gets a token, without which nothing is answered.
 
@@ -124,7 +124,7 @@ def open_server(host: str, port: int) -> Page:
     # A client that connects without a request would cause a traceback on the terminal.
     logging.getLogger("websockets").addHandler(logging.NullHandler())
     access = Access.to(host)
-    with without_greeting(), guarded(access):
+    with without_greeting(), guarded(access, again):
         server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
     if port and server.get_port() != port:
         close_server(server)

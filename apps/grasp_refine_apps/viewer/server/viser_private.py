@@ -32,6 +32,9 @@ Answer = Callable[[Any, Request], Response | None]
 PAGE_HEAD = Path(__file__).parent / "page_head.html"
 """Style and script that are added to the page; its private parts are `window.__viserMutable` and names of classes."""
 
+ALIVE = "/alive"
+"""Path by which a page asks whether the program still runs."""
+
 GZIP_LEVEL = 1
 """Compression of the page, which is sent over this machine mostly."""
 
@@ -77,8 +80,10 @@ def click_script(handle: Any) -> str:
 
 
 @contextmanager
-def guarded(access: Access) -> Iterator[None]:
+def guarded(access: Access, again: str = "") -> Iterator[None]:
     """Let a server that is started in this context answer only the requests that `access` allows.
+
+    Its page names the command `again` when the program has ended.
 
     Otherwise any page that is open in the same browser could connect to it, and anyone on the network; viser passes
     no origins on, and knows no tokens.
@@ -87,7 +92,7 @@ def guarded(access: Access) -> Iterator[None]:
     serve = module.serve
 
     def serve_guarded(*args: Any, process_request: Answer, **options: Any) -> Any:
-        return serve(*args, process_request=_guarded_answer(process_request, access), **options)
+        return serve(*args, process_request=_guarded_answer(process_request, access, again), **options)
 
     module.serve = serve_guarded
     try:
@@ -96,7 +101,7 @@ def guarded(access: Access) -> Iterator[None]:
         module.serve = serve
 
 
-def _guarded_answer(answer: Answer, access: Access) -> Answer:
+def _guarded_answer(answer: Answer, access: Access, again: str) -> Answer:
     """Return a function that refuses requests, and otherwise returns what `answer` returns."""
 
     def guarded_answer(connection: Any, request: Request) -> Response | None:
@@ -108,9 +113,11 @@ def _guarded_answer(answer: Answer, access: Access) -> Answer:
             return _refusal("Open the whole address that refine-grasp view printed: it ends with a token.")
         if not access.allows_origin(origin, host):
             return _refusal("Only the page of this server may connect to it.")
+        if request.path == ALIVE:
+            return Response(HTTPStatus.NO_CONTENT, "No Content", Headers())
         found = answer(connection, request)
         if found is not None:
-            _add_head(found)
+            _add_head(found, again)
             for name, value in access.cookies(port).items():
                 found.headers[name] = value
         return found
@@ -118,8 +125,8 @@ def _guarded_answer(answer: Answer, access: Access) -> Answer:
     return guarded_answer
 
 
-def _add_head(response: Response) -> None:
-    """Add our style and script to the page, if it is one.
+def _add_head(response: Response, again: str) -> None:
+    """Add our style and script to the page, if it is one, with the command that serves it again.
 
     viser has neither keys that its camera leaves alone, nor links, nor placeholders, nor a way to draw over everything,
     and runs no script in HTML of the panel.
@@ -127,7 +134,8 @@ def _add_head(response: Response) -> None:
     headers, body = response.headers, bytes(response.body)
     if "html" not in headers.get("Content-Type", "") or b"<head>" not in (page := _unpacked(headers, body)):
         return
-    page = page.replace(b"<head>", b"<head>" + PAGE_HEAD.read_bytes(), 1)
+    head = PAGE_HEAD.read_text(encoding="utf-8").replace('"GR_AGAIN"', json.dumps(again).replace("<", "\\u003c"))
+    page = page.replace(b"<head>", b"<head>" + head.encode(), 1)
     response.body = gzip.compress(page, GZIP_LEVEL) if headers.get("Content-Encoding") == "gzip" else page
     del headers["Content-Length"]
     headers["Content-Length"] = str(len(response.body))
@@ -168,7 +176,8 @@ def limit_uploads(server: viser.ViserServer, max_bytes: int, refuse: Callable[[s
 
     def on_start(_: int, message: _messages.FileTransferStartUpload) -> None:
         size = message.size_bytes
-        if not 0 <= size <= max_bytes or len(under_way) > MAX_CONCURRENT_UPLOADS:
+        # viser waits for parts of an empty file, and there is none.
+        if not 0 < size <= max_bytes or len(under_way) > MAX_CONCURRENT_UPLOADS:
             if under_way.pop(message.transfer_uuid, None) is not None:
                 # The browser waits for the last byte to be received, and lets nothing else be uploaded until then.
                 server._websock_server.queue_message(

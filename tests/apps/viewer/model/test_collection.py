@@ -17,6 +17,7 @@ from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.marks import marks_path
 from grasp_refine_apps.viewer.model.pose import Pose
@@ -221,3 +222,25 @@ def test_files_that_are_no_grasp_files_record_nothing(results: Path, tmp_path: P
         assert collection.files == (path,)
         assert collection.row.tolist() == [3]
         assert not collection.columns
+
+
+def test_grasps_that_cannot_be_drawn_have_a_reason_and_the_first_that_can_is_opened(tmp_path: Path) -> None:
+    grasps = load_grasps(EXAMPLE)
+    pose, q = grasps.hand_pose.copy(), grasps.q.copy()
+    q[0, 3], pose[1, 0] = np.nan, 1e9
+    np.savez(tmp_path / "mug.npz", **replace(grasps, hand_pose=pose, q=q).arrays())
+    collection = opened(tmp_path / "mug.npz")
+    assert collection.posed.tolist() == [False, False, True, True] and collection.first == 2
+    assert [collection.undrawn(n).partition(":")[0] for n in range(4)] == ["not finite", "invalid", "", ""]
+    viewer = Controller(collection, Settings())
+    viewer.close()
+    assert viewer.state.number == 2 and viewer.state.notice is not None
+    # NaN is not equal to itself: they were all "edited".
+    every = replace(viewer.state, works={n: collection.work(n) for n in range(4)})
+    assert not every.unsaved and present(every) is collection
+
+
+def test_a_link_names_a_grasp_by_its_label_or_its_number(results: Path) -> None:
+    collection = opened(results, index=(5, 0, 19))
+    assert [collection.find(text) for text in ("mug 19", "1", "mug 5")] == [2, 1, 0]
+    assert [collection.find(text) for text in ("3", "mug 7", "cup 5", "", "-1", "mug")] == [None] * 6

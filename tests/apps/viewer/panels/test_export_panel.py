@@ -322,3 +322,17 @@ def test_what_is_open_is_shown_as_text(collection: Collection):
     text = open_html(collection)
     assert all(one in text for one in ("allegro (allegro.urdf)", "16 joints", "sample:1"))
     assert "a &lt;b&gt;note&lt;/b&gt;" in text
+
+
+def test_an_empty_upload_is_refused(shown: Shown):
+    """viser waits for its parts, and said nothing."""
+    shown.one.announce(shown.panel.upload, "nothing.stl", 0, 0)
+    assert shown.told("nothing.stl", "empty", bad=True)
+
+
+def test_a_mesh_has_a_scale(shown: Shown):
+    shown.panel.scale.value = 1.5
+    shown.one.upload(shown.panel.upload, "box.stl", BOX)
+    until(lambda: shown.controller.state.scene.object.name == "box")
+    size = np.ptp(shown.controller.state.scene.object.mesh.vertices, axis=0)
+    np.testing.assert_allclose(size, 1.5 * np.array([0.04, 0.05, 0.06]), rtol=1e-6)

@@ -143,3 +143,14 @@ def test_a_refined_grasp_is_reported_before_and_after(collection: Collection) ->
     assert not Parsed(metrics_html(replace(collection, columns={}), 13)).cells
     plain = {key: column for key, column in collection.columns.items() if key.endswith("_after")}
     assert Parsed(metrics_html(replace(collection, columns=plain), 13)).cells[:2] == ["Quality", "0.910"]
+
+
+def test_a_grasp_that_cannot_be_drawn_says_why_in_place_of_measures(collection: Collection) -> None:
+    (group,) = collection.problem.groups
+    q = group.scene.q.copy()
+    q[1] = np.nan
+    group = replace(group, scene=replace(group.scene, q=q))
+    broken = replace(collection, problem=replace(collection.problem, groups=(group,)))
+    cells = table(broken, Listing()).cells
+    width = len(shown_columns(broken)) + 1
+    assert cells[width] == "1" and "not finite" in cells[width + 1] and cells[width + 2] == "2"

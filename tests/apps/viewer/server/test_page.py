@@ -1,5 +1,6 @@
 """The server: where it listens, whom it lets in, and the thread that draws."""
 
+import gzip
 import socket
 import threading
 from collections.abc import Iterator
@@ -165,3 +166,18 @@ def test_the_newest_state_is_drawn_once_in_a_period_and_a_part_that_breaks_does_
     seldom.draw(states[2])
     seldom.close()
     assert drawn[-1] == 1
+
+
+def test_a_page_can_ask_whether_its_program_still_runs_and_knows_how_to_start_it_again() -> None:
+    page = open_server("127.0.0.1", 0, again="refine-grasp view '</script>'")
+    try:
+        port = page.server.get_port()
+        assert answered(port, "/alive").status == 204
+        asked = HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+        asked.request("GET", "/", headers={"Accept-Encoding": "identity"})
+        text = asked.getresponse().read()
+        text = (gzip.decompress(text) if text[:2] == b"\x1f\x8b" else text).decode()
+        asked.close()
+        assert "refine-grasp view '\\u003c/script>'" in text
+    finally:
+        close_server(page.server)
