@@ -143,6 +143,7 @@ def test_recipes_run(guide: str, newcomer: Path, capfd: pytest.CaptureFixture[st
             "allegro_mug_tables/contacts.csv",
             "allegro_mug_ros2/grasps/0.cdr",
             "allegro_mug_isaac/mug.obj",
+            "allegro_mug_lerobot/meta/info.json",
         ),
     }
     for name in made[guide]:

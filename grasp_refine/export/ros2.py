@@ -17,10 +17,11 @@ from grasp_refine.core.plurals import first_of
 from grasp_refine.export.cdr import cdr
 from grasp_refine.export.exported import ExportedGrasps
 from grasp_refine.export.target import Readme
+from grasp_refine.export.timed import timed
 from grasp_refine.grasps.formats.texts import dump_yaml
 from grasp_refine.hands.palm import is_of_arm
 from grasp_refine.motion.plan import MotionPlan, TrajectoryOptions, closing_paths, plan_motions, up_of
-from grasp_refine.motion.trajectory import Trajectory, trajectory
+from grasp_refine.motion.trajectory import Trajectory
 from grasp_refine.motion.trajectory_context import all_values, pressing_torques
 
 GRASP, TRAJECTORY = "moveit_msgs/msg/Grasp", "trajectory_msgs/msg/JointTrajectory"
@@ -52,10 +53,10 @@ class Ros2:
         if not rows:
             raise GraspRefineError(f"{grasps.name}: no grasp can be written as a message: {plans[0].why}")
         for row in rows:
-            timed = _timed(grasps, plans[row], row)
-            ends = ", ".join(f"{name} at {timed.time[place]:.2f} s" for name, place in _ends(timed).items())
+            moved = timed(grasps, plans[row], row)
+            ends = ", ".join(f"{name} at {moved.time[place]:.2f} s" for name, place in _ends(moved).items())
             _save(folder / "grasps" / str(row), GRASP, grasp_message(grasps, plans[row], row))
-            _save(folder / "trajectories" / str(row), TRAJECTORY, trajectory_message(grasps, timed), ends)
+            _save(folder / "trajectories" / str(row), TRAJECTORY, trajectory_message(grasps, moved), ends)
         palm = hand.palm
         followers = [name for name in grasps.joint_names if name not in hand.joint_names]
         beyond = [f"Grasp {row} is left out: {plan.why}." for row, plan in enumerate(plans) if plan.direction is None]
@@ -131,14 +132,6 @@ def trajectory_message(grasps: ExportedGrasps, timed: Trajectory) -> Message:
     velocity = timed.velocity(timed.q)
     points = [_point(q, time, rate) for q, time, rate in zip(timed.q, timed.time, velocity, strict=True)]
     return {"header": _header(""), "joint_names": list(grasps.hand.joint_names), "points": points}
-
-
-def _timed(grasps: ExportedGrasps, plan: MotionPlan, row: int) -> Trajectory:
-    """Return the whole plan of a hand on an arm, where it is free; else the fingers' part of it."""
-    if grasps.hand.arm is not None and plan.free:
-        return trajectory(grasps.hand, plan)
-    legs = closing_paths(grasps.hand, grasps.motion.T_world_root[row], grasps.motion.q[row])
-    return trajectory(grasps.hand, MotionPlan(plan.status, plan.why, legs, plan.direction))
 
 
 def _ends(timed: Trajectory) -> dict[str, int]:

@@ -22,6 +22,7 @@ _HOMES = {
     "usd": ("usd", "Usd"),
     "isaac_grasp": ("isaac", "Isaac"),
     "ros2": ("ros2", "Ros2"),
+    "lerobot": ("lerobot", "LeRobot"),
     "csv": ("table", "Table"),
     "parquet": ("table", "Table"),
 }

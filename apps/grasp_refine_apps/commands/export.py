@@ -18,7 +18,7 @@ from grasp_refine_apps.commands.inputs import Sources
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 
-TargetName = Literal["mjcf", "sapien", "drake", "usd", "isaac_grasp", "ros2", "csv", "parquet"]
+TargetName = Literal["mjcf", "sapien", "drake", "usd", "isaac_grasp", "ros2", "lerobot", "csv", "parquet"]
 """Names of the targets, as in `export.targets`."""
 
 
@@ -29,8 +29,8 @@ class Export:
     mjcf: a MuJoCo scene with key frames, and a script that simulates the grasps. sapien, drake: URDFs of hand and
     object in convex pieces, with such a script. usd: a stage with hand, drives, object and grasps, for Isaac Sim, Isaac
     Lab and Newton. isaac_grasp: the file of Isaac Sim's grasp editor. ros2: messages of MoveIt and of joint trajectory
-    controllers. csv, parquet: tables of grasps, joints by name, and of contacts with their forces. Takes any grasp
-    file; pregrasps and squeezes that it lacks are made.
+    controllers. lerobot: a LeRobot data set, an episode a grasp. csv, parquet: tables of grasps, joints by name, and of
+    contacts with their forces. Takes any grasp file; pregrasps and squeezes that it lacks are made.
     """
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
