@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 
@@ -35,6 +36,26 @@ ELEVATION_COST = 0.05
 DISTANCE_COST = 0.5
 """Cost, likewise, of a camera twice as far from the contacts as the nearest one with everything in view."""
 
+BACK_COST = 0.3
+"""Cost, likewise, of a camera behind the hand, from where neither palm nor contacts are seen; none from its side."""
+
+TURN_COST = 0.2
+"""Cost, likewise, of a camera opposite to the one before."""
+
+VIEWS: Mapping[str, tuple[float, float, float] | None] = {
+    "front": (1.0, 0.0, 0.2),
+    "side": (0.0, 1.0, 0.2),
+    "palm": None,
+    "contacts": None,
+}
+"""Name of a view -> direction towards its camera; None: it depends on the grasp."""
+
+CLOSE_M = 0.025
+"""Distance in metres around contacts that a view of them has in its picture."""
+
+ABOVE, LEAST_SLANT = (1.0, 0.0, 0.5), 1e-3
+"""Direction towards a camera where none is known, and sine of the angle to the vertical below which one is vertical."""
+
 POINT_SPACING_M = 0.006
 """Approximate spacing of surface points in metres: less than the width that hides a contact."""
 
@@ -57,6 +78,11 @@ class FirstCamera:
     look_at: Float[np.ndarray, " 3"]
     """The point in the middle of the picture (3,), metres."""
 
+    @property
+    def towards(self) -> Float[np.ndarray, " 3"]:
+        """Unit vector (3,) from the middle of the picture towards the camera."""
+        return slanted(self.position - self.look_at)
+
 
 def first_camera(
     hand: Float[np.ndarray, "N 3"],
@@ -64,23 +90,28 @@ def first_camera(
     contacts: Float[np.ndarray, "K 3"],
     *,
     aspect: float = 1.4,
+    before: Float[np.ndarray, " 3"] | None = None,
 ) -> FirstCamera:
-    """Return the camera that sees most contacts, from slightly above, with hand and object fully in view.
+    """Return the camera that sees palm and most contacts, from slightly above, with hand and object fully in view.
 
     Args:
         hand: Points all over the hand's surface, in the frame of the scene, z up.
         obj: Points all over the object's surface.
         contacts: Points where they touch or nearly do; empty: points of the object are used.
         aspect: Width of the picture over its height.
+        before: Direction towards the camera before (3,), which should not turn much; None: there is none.
     """
     wanted = contacts if len(contacts) else obj[:: max(1, len(obj) // 16)]
     every, middle = np.concatenate([hand, obj]), wanted.mean(axis=0)
+    palm = facing(hand, wanted)
     cameras, cost = [], []
     for (step, elevation), azimuth in product(enumerate(ELEVATIONS_DEG), AZIMUTHS_DEG):
         towards = _direction(azimuth, elevation)
         hidden = _occlusion(wanted, hand, towards) + OBJECT_OCCLUSION_WEIGHT * _occlusion(wanted, obj, towards)
         cameras.append(fit_camera(every, middle, towards, aspect))
-        cost.append(hidden.mean() + ELEVATION_COST * step)
+        turn = 0.0 if before is None else TURN_COST * (1.0 - float(towards @ before)) / 2
+        back = BACK_COST * max(-float(towards @ palm), 0.0)
+        cost.append(hidden.mean() + ELEVATION_COST * step + turn + back)
     distance = np.array([np.linalg.norm(camera.position - middle) for camera in cameras])
     total = np.array(cost) + DISTANCE_COST * (distance / distance.min() - 1.0)
     # Rounded, so that rounding errors do not break ties.
@@ -92,12 +123,64 @@ def first_camera_of(
     T_world_object: Float[np.ndarray, "4 4"] | None = None,
     *,
     aspect: float = 1.4,
+    before: Float[np.ndarray, " 3"] | None = None,
 ) -> FirstCamera:
     """Return `first_camera` of a grasp, the object at `T_world_object` (4, 4) in the scene; None: at its origin."""
-    T = np.eye(4) if T_world_object is None else T_world_object
-    hand = hand_points(contacts.prepared, contacts.frames.T_world_link[0])
-    obj = surface_points(contacts.prepared.object.body)
-    return first_camera(*(transform_points(T, points) for points in (hand, obj, contacts.point_object)), aspect=aspect)
+    return first_camera(*scene_points(contacts, T_world_object), aspect=aspect, before=before)
+
+
+def scene_points(
+    contacts: Contacts, T_world_object: Float[np.ndarray, "4 4"] | None = None
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "M 3"], Float[np.ndarray, "K 3"]]:
+    """Return points all over hand and object, and their contacts; of a pose that cannot be drawn, of the object alone.
+
+    Args:
+        contacts: Contacts of the grasp.
+        T_world_object: Pose of the object (4, 4) in the scene; None: at its origin.
+    """
+    T, T_link = np.eye(4) if T_world_object is None else T_world_object, contacts.frames.T_world_link[0]
+    obj, hand, touched = surface_points(contacts.prepared.object.body), np.zeros((0, 3)), contacts.point_object
+    if np.isfinite(T_link).all():
+        hand = hand_points(contacts.prepared, T_link)
+    else:
+        touched = touched[:0]
+    hand, obj, touched = (transform_points(T, points) for points in (hand, obj, touched))
+    return hand, obj, touched
+
+
+def facing(hand: Float[np.ndarray, "N 3"], wanted: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, " 3"]:
+    """Return the direction (3,) from a hand to what it holds, the normal of its palm; 0 without a hand."""
+    away = wanted.mean(axis=0) - hand.mean(axis=0) if len(hand) else np.zeros(3)
+    return away / max(float(np.linalg.norm(away)), np.finfo(np.float64).tiny)
+
+
+def slanted(towards: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+    """Return a direction (3,) as a unit vector; a vertical one, from which no side is up, is replaced by `ABOVE`."""
+    length = float(np.linalg.norm(towards))
+    if np.linalg.norm(np.cross(UP, towards)) <= LEAST_SLANT * length:
+        towards, length = np.array(ABOVE), float(np.linalg.norm(ABOVE))
+    return np.asarray(towards) / length
+
+
+def named_view(
+    view: str,
+    hand: Float[np.ndarray, "N 3"],
+    obj: Float[np.ndarray, "M 3"],
+    contacts: Float[np.ndarray, "K 3"],
+) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "P 3"] | None]:
+    """Return the direction towards the camera of one of `VIEWS`, and points (P, 3) that it should see; None: all.
+
+    Any other name, and a view of contacts where there are none, is `first_camera`.
+    """
+    if fixed := VIEWS.get(view):
+        return slanted(np.array(fixed)), None
+    if view == "palm" and len(hand):
+        return slanted(facing(hand, contacts if len(contacts) else obj)), None
+    towards = first_camera(hand, obj, contacts).towards
+    if view != "contacts" or not len(contacts):
+        return towards, None
+    around = CLOSE_M * np.array(list(product((-1.0, 1.0), repeat=3)))
+    return towards, (contacts[:, None] + around).reshape(-1, 3)
 
 
 def hand_points(prepared: HandObject, T_link: Float[np.ndarray, "L 4 4"]) -> Float[np.ndarray, "N 3"]:

@@ -10,7 +10,7 @@ import viser
 from scipy.ndimage import gaussian_filter
 
 from grasp_refine.core.array_types import Float, UInt8
-from grasp_refine_apps.viewer.drawing.camera import UP, FirstCamera
+from grasp_refine_apps.viewer.drawing.camera import ABOVE, UP, FirstCamera, slanted
 
 SHADOW_PIXELS = 96
 """Pixels of the shadow's picture along each axis."""
@@ -30,9 +30,6 @@ CELL_M = 0.05
 KEY_INTENSITY, FILL_INTENSITY = 2.5, 2.1
 """Intensities of the light that models form, from the upper left of the first camera, and of the light from all sides.
 """
-
-ABOVE, LEAST_SLANT = (1.0, 0.0, 0.5), 1e-3
-"""Direction towards a camera where none is known, and sine of the angle to the vertical below which one is vertical."""
 
 SKY_COLOR, GROUND_COLOR = (255, 255, 255), (196, 202, 214)
 """Colours of the light from above and below."""
@@ -98,12 +95,9 @@ def shadow(points: Float[np.ndarray, "N 3"]) -> tuple[UInt8[np.ndarray, "H W 4"]
 
 def light(scene: viser.SceneApi, camera: FirstCamera | None = None) -> None:
     """Light the scene from the upper left of a camera, and a little from all sides."""
-    back = np.array(ABOVE) if camera is None else camera.position - camera.look_at
+    back = slanted(np.array(ABOVE) if camera is None else camera.position - camera.look_at)
     right = np.cross(UP, back)
-    # A camera that looks straight down, or nowhere, has no right side.
-    if np.linalg.norm(right) <= LEAST_SLANT * np.linalg.norm(back):
-        back, right = np.array(ABOVE), np.cross(UP, ABOVE)
-    back, right = back / np.linalg.norm(back), right / np.linalg.norm(right)
+    right /= np.linalg.norm(right)
     towards = 0.7 * back - 0.75 * right + 0.9 * np.array(UP)
     scene.configure_default_lights(False)
     scene.configure_environment_map(None)

@@ -16,12 +16,13 @@ from grasp_refine_apps.viewer.drawing.camera import (
     UP,
     FirstCamera,
     first_camera,
-    first_camera_of,
     fit_camera,
-    surface_points,
+    named_view,
+    scene_points,
+    slanted,
 )
 from grasp_refine_apps.viewer.drawing.grasp_nodes import GraspNodes
-from grasp_refine_apps.viewer.drawing.ground import ABOVE, LEAST_SLANT, light
+from grasp_refine_apps.viewer.drawing.ground import light
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.meters.comparison import compared_pose
 from grasp_refine_apps.viewer.model.contacts import Contacts
@@ -49,7 +50,12 @@ class View:
         self._made: Drawn | None = None
         self._camera: FirstCamera | None = None
         self._beside = False
+        self._grasp: tuple[np.ndarray, int] | None = None
+        """Rows of the open grasps, and number of the grasp that the cameras were placed for."""
         self._aspects: dict[int, float] = {}
+        self._cuts: dict[int, float] = {}
+        self._moved: set[int] = set()
+        """Numbers of the pages whose users moved the camera."""
         self._motion: Recording | None = None
         light(server.scene)
 
@@ -59,9 +65,10 @@ class View:
         return None if self.nodes is None else self.nodes.contacts
 
     def draw(self, state: State) -> None:
-        """Update the scene to a state."""
+        """Update the scene to a state; cameras follow hand and object, except those that users moved."""
         scene, nodes = state.scene, self.nodes
         made = scene.hand, scene.object, state.display, scene.environment
+        grasp = state.collection.row, state.number
         with self.server.atomic():
             if nodes is None or self._made != made:
                 same = nodes is not None and self._made is not None and _looks_same(self._made, made)
@@ -71,53 +78,80 @@ class View:
                 nodes = self.nodes = GraspNodes(self.server.scene, self._controller, state, nodes if same else None)
                 self._made = made
                 if not same:
-                    self._choose_camera(state, nodes)
+                    self._grasp = None
+            if self._grasp is None or self._grasp[0] is not grasp[0] or self._grasp[1] != grasp[1]:
+                lit = self._grasp is not None
+                self._grasp = grasp
+                self._choose_camera(state, nodes)
+                if not lit:
+                    light(self.server.scene, self._camera)
             if state.side_by_side != self._beside:
                 self._beside = state.side_by_side
-                self._place_cameras(state, nodes)
+                self._place_cameras(state, nodes, moved=True)
             if state.motion is not self._motion:
                 self._motion = state.motion
                 if state.motion is not None and state.motion.travels:
-                    self._place_cameras(state, nodes)
+                    self._place_cameras(state, nodes, moved=True)
             nodes.draw(state)
 
     def _choose_camera(self, state: State, nodes: GraspNodes) -> None:
-        """Place all cameras so that hand and object are fully in view."""
-        T = state.T_world_object
-        if state.shown.posed:
-            self._camera = first_camera_of(self._controller.contacts(state), T, aspect=ASPECT_RATIO)
-        else:
-            obj = transform_points(T, surface_points(nodes.prepared.object.body))
-            self._camera = first_camera(obj[:0], obj, obj[:0], aspect=ASPECT_RATIO)
-        light(self.server.scene, self._camera)
+        """Place the cameras so that hand and object are fully in view, palm and contacts seen."""
+        before = None if self._camera is None else self._camera.towards
+        seen = scene_points(self._controller.contacts(state), state.T_world_object)
+        self._camera = first_camera(*seen, aspect=ASPECT_RATIO, before=before)
         across = np.cross(self._camera.look_at - self._camera.position, UP)
         nodes.right = across / np.linalg.norm(across)
         self._place_cameras(state, nodes)
 
-    def fit(self, client: viser.ClientHandle, aspect: float, *, first: bool = False) -> None:
-        """Fit the camera of one page to hand and object.
+    def moved(self, client: viser.ClientHandle) -> None:
+        """Note that a user moved the camera of a page: from then on it stays."""
+        self._moved.add(client.client_id)
+
+    def look(self, client: viser.ClientHandle, view: str, aspect: float | None = None) -> None:
+        """Fit the camera of one page to hand and object; from then on it follows them.
 
         Args:
             client: The page.
-            aspect: Aspect ratio of its scene.
-            first: Whether it looks as the first camera does, not from where it is.
+            view: One of `VIEWS`; any other: from where palm and contacts are seen.
+            aspect: Aspect ratio of its scene; None: as before.
         """
         nodes, state = self.nodes, self._controller.state
+        self._moved.discard(client.client_id)
+        if aspect is not None:
+            self._aspects[client.client_id] = aspect
+        if nodes is not None:
+            seen = scene_points(self._controller.contacts(state), state.T_world_object)
+            towards, points = named_view(view, *seen)
+            with client.atomic():
+                self._place(client, self._points(state, nodes) if points is None else points, towards)
+
+    def ready(self, client: viser.ClientHandle, aspect: float) -> None:
+        """Fit the camera of a page to an aspect ratio of its scene, unless its user moved it."""
         self._aspects[client.client_id] = aspect
-        if nodes is None:
-            return
-        camera = client.camera
-        seen: Any = self._camera if first and self._camera is not None else camera
-        back = np.array(seen.position) - np.array(seen.look_at)
-        back /= max(float(np.linalg.norm(back)), 1e-9)
-        if np.linalg.norm(np.cross(back, UP)) < LEAST_SLANT:
-            back = np.array(ABOVE) / np.linalg.norm(ABOVE)
-        points = self._points(state, nodes)
-        found = fit_camera(points, points.mean(axis=0), back, aspect)
-        with client.atomic():
-            camera.up_direction = UP
-            camera.fov, camera.near, camera.far = FIELD_OF_VIEW_RAD, NEAR_PLANE_M, FAR_PLANE_M
-            camera.position, camera.look_at = found.position, found.look_at
+        nodes, state = self.nodes, self._controller.state
+        if nodes is not None and self._camera is not None and client.client_id not in self._moved:
+            with client.atomic():
+                self._place(client, self._points(state, nodes), self._camera.towards)
+
+    def cut(self, client: viser.ClientHandle, share: float) -> None:
+        """Cut away what is nearest to the camera of a page, as a share of the depth of hand and object."""
+        self._cuts[client.client_id] = share
+        nodes, state, camera = self.nodes, self._controller.state, client.camera
+        if nodes is not None:
+            back = slanted(np.array(camera.position) - np.array(camera.look_at))
+            camera.near = self._near(client.client_id, self._points(state, nodes), np.array(camera.position), back)
+
+    def _near(self, number: int, points: np.ndarray, position: np.ndarray, towards: np.ndarray) -> float:
+        """Distance of the near plane of the camera of a page."""
+        share, depth = self._cuts.get(number, 0.0), (position - points) @ towards
+        return max(NEAR_PLANE_M, float(depth.min() + share * np.ptp(depth))) if share else NEAR_PLANE_M
+
+    def _place(self, client: viser.ClientHandle, points: np.ndarray, towards: np.ndarray) -> None:
+        """Fit the camera of a page to points (N, 3), from a direction (3,)."""
+        camera, number = client.camera, client.client_id
+        found = fit_camera(points, points.mean(axis=0), towards, self._aspects.get(number, ASPECT_RATIO))
+        camera.up_direction = UP
+        _set(camera, found, self._near(number, points, found.position, towards))
 
     def _points(self, state: State, nodes: GraspNodes) -> np.ndarray:
         """Points (N, 3) on all that is shown, world frame."""
@@ -137,26 +171,28 @@ class View:
         other = transform_points(state.T_world_object, nodes.corners(state.initial)) + nodes.input_offset(state)
         return np.concatenate([points, other])
 
-    def _place_cameras(self, state: State, nodes: GraspNodes) -> None:
-        """Place all cameras for one grasp, for two side by side or overlaid, or for a whole trajectory or lift."""
-        camera = self._camera
+    def _place_cameras(self, state: State, nodes: GraspNodes, *, moved: bool = False) -> None:
+        """Place cameras for one grasp, for two side by side or overlaid, or for a whole trajectory or lift.
+
+        Cameras that users `moved` stay unless they are to see something else.
+        """
+        camera, clients = self._camera, self.server.get_clients()
         if camera is None:
             return
-        points = None
-        travels = state.motion is not None and state.motion.travels
-        if state.side_by_side or travels or compared_pose(state) is not None:
-            points = self._points(state, nodes)
-        back = camera.position - camera.look_at
-        back /= np.linalg.norm(back)
-        self.server.initial_camera.up = UP
-        places: list[tuple[Any, float]] = [(self.server.initial_camera, ASPECT_RATIO)]
-        for number, client in self.server.get_clients().items():
-            client.camera.up_direction = UP
-            places.append((client.camera, self._aspects.get(number, ASPECT_RATIO)))
-        for place, aspect in places:
-            found = camera if points is None else fit_camera(points, points.mean(axis=0), back, aspect)
-            place.fov, place.near, place.far = FIELD_OF_VIEW_RAD, NEAR_PLANE_M, FAR_PLANE_M
-            place.position, place.look_at = found.position, found.look_at
+        points, towards = self._points(state, nodes), camera.towards
+        first = self.server.initial_camera
+        first.up = UP
+        _set(first, fit_camera(points, points.mean(axis=0), towards, ASPECT_RATIO), NEAR_PLANE_M)
+        self._moved = set() if moved else self._moved & clients.keys()
+        for number, client in clients.items():
+            if number not in self._moved:
+                self._place(client, points, towards)
+
+
+def _set(place: Any, camera: FirstCamera, near: float) -> None:
+    """Set the camera of a page, or of all new ones."""
+    place.fov, place.near, place.far = FIELD_OF_VIEW_RAD, near, FAR_PLANE_M
+    place.position, place.look_at = camera.position, camera.look_at
 
 
 def _looks_same(one: Drawn, other: Drawn) -> bool:

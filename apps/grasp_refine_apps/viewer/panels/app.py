@@ -81,7 +81,7 @@ class Viewer:
                     "previous": lambda: browse.go(PREVIOUS),
                     "play": lambda: self._play(refine, panels[ValidatePanel]),
                 },
-                self.view.fit,
+                self.view,
                 self._change_tab,
                 refine.form.placeholders,
                 browse.brush,
@@ -104,6 +104,7 @@ class Viewer:
         for drawer in self._drawers:
             controller.listen(drawer.draw)
         panels[ExportPanel].settle = self._drawers[0].settle
+        panels[DisplayPanel].look, panels[DisplayPanel].cut = self.view.look, self.view.cut
         server.on_client_connect(lambda client: self._drawers[0].draw(controller.state))
         self._measuring = Timer(BACKGROUND_DELAY_S, controller.background.measure)
         self._measuring.daemon = True

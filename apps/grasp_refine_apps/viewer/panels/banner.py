@@ -37,7 +37,7 @@ class Banner:
 
     def show(self, text: str, *, bad: bool = False) -> None:
         """Show a text; empty: nothing."""
-        content = f'<div style="{STYLE}{COLORS[bad]}">{escape(text)}</div>' if text else ""
+        content = f'<div{" data-error" * bad} style="{STYLE}{COLORS[bad]}">{escape(text)}</div>' if text else ""
         if self.html.content != content:
             self.html.content = content
             self.html.visible = bool(text)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import fields
+from typing import Any
 
 import viser
 
+from grasp_refine_apps.viewer.drawing.camera import VIEWS
 from grasp_refine_apps.viewer.drawing.grasp_nodes import (
     COMPARED_COLOR,
     DEEP_COLOR,
@@ -25,7 +28,14 @@ class DisplayPanel:
 
     def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
         """Make the widgets."""
-        state = controller.state
+        state, gui = controller.state, server.gui
+        self.look: Callable[[viser.ClientHandle, str], None] = lambda client, view: None
+        """Places the camera of a page; set by whoever draws, as `cut` is."""
+        self.cut: Callable[[viser.ClientHandle, float], None] = lambda client, share: None
+        views = gui.add_button_group("Look at", tuple(view.capitalize() for view in VIEWS), hint="Keys 1 to 4")
+        cut = gui.add_slider("Cut away", 0, 100, 1, 0, hint="What is nearest to the camera, in % of the depth")
+        views.on_click(self._look_at)
+        cut.on_update(self._cut_away)
         names = tuple(field.name for field in fields(DisplayOptions))
         # Scenes keep what is around the object, or have nothing there, as long as the viewer runs.
         alone = state.scene.table is None and state.scene.environment is None
@@ -41,6 +51,14 @@ class DisplayPanel:
         )
         server.gui.add_html(_legend())
         server.gui.add_html(keys_html())
+
+    def _look_at(self, event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None:
+            self.look(event.client, event.target.value.lower())
+
+    def _cut_away(self, event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None:
+            self.cut(event.client, event.target.value / 100)
 
     def draw(self, state: State) -> None:
         """Show a state."""

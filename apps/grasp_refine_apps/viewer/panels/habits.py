@@ -14,7 +14,8 @@ from urllib.parse import unquote
 
 import viser
 
-from grasp_refine_apps.viewer.drawing.view import ASPECT_RATIO
+from grasp_refine_apps.viewer.drawing.camera import VIEWS
+from grasp_refine_apps.viewer.drawing.view import ASPECT_RATIO, View
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.state import State
@@ -27,7 +28,11 @@ KEYS: Mapping[str, tuple[str, str, str]] = {
     "play": ("Space", " ", "Play or pause the refinement or the replay"),
     "good": ("G", "g", "Mark the grasp good, or take the mark back"),
     "bad": ("B", "b", "Mark the grasp bad, or take the mark back"),
-    "fit": ("F", "f", "Fit the camera to hand and object"),
+    "fit": ("F", "f", "Look at hand and object from where palm and contacts are seen"),
+    **{
+        view: (str(k), str(k), f"Look at the {view}" if VIEWS[view] is None else f"Look from the {view}")
+        for k, view in enumerate(VIEWS, 1)
+    },
     "undo": ("Ctrl Z", "Ctrl+z", "Undo"),
     "redo": ("Ctrl Y", "Ctrl+y", "Redo"),
 }
@@ -48,7 +53,7 @@ class Habits:
         server: viser.ViserServer,
         controller: Controller,
         commands: Mapping[str, Callable[[], object]],
-        fit: Callable[..., None],
+        view: View,
         change_tab: Callable[[str], None],
         placeholders: Callable[[], Mapping[str, str]],
         brush: Callable[[str], None],
@@ -59,12 +64,12 @@ class Habits:
             server: The page.
             controller: Receiver of the commands on grasps.
             commands: Commands of the panels: next, previous and play; must return at once.
-            fit: Fits the camera of one page: `View.fit`.
+            view: The scene, with the cameras of the pages.
             change_tab: Called with the lower-case title of a tab that was opened.
             brush: Called with the measure and the places of a brush over its histogram.
             placeholders: Texts in empty fields, by the ids of their widgets.
         """
-        self._controller, self._fit, self._change_tab = controller, fit, change_tab
+        self._controller, self._view, self._change_tab = controller, view, change_tab
         self._placeholders, self._brush = placeholders, brush
         self._fitted: set[int] = set()
         self._commands: dict[str, Callable[[], object]] = {
@@ -106,8 +111,10 @@ class Habits:
             self._brush(rest)
         elif what == "tab":
             self._change_tab(value)
-        elif what in ("fit", "ready"):
-            self._fit_to(client, value, first=what == "ready")
+        elif what == "moved":
+            self._view.moved(client)
+        elif what in ("fit", "ready", *VIEWS):
+            self._fit_to(client, value, what)
 
     def draw(self, state: State) -> None:
         """Show a state."""
@@ -128,16 +135,19 @@ class Habits:
         state = self._controller.state
         self._controller.grasps.mark(state.number, "" if state.collection.mark(state.number) == mark else mark)
 
-    def _fit_to(self, client: Any, value: str, *, first: bool) -> None:
+    def _fit_to(self, client: Any, value: str, what: str) -> None:
         """Fit the camera of a page whose scene has this aspect ratio; the first time only if it is unusual."""
         try:
             aspect = float(value)
         except ValueError:
             return
-        always = not first or client.client_id in self._fitted
+        always = what != "ready" or client.client_id in self._fitted
         if 0.1 < aspect < 10.0 and (always or abs(aspect / ASPECT_RATIO - 1) > ASPECT_TOLERANCE):
             self._fitted.add(client.client_id)
-            self._fit(client, aspect, first=first)
+            if what == "ready":
+                self._view.ready(client, aspect)
+            else:
+                self._view.look(client, what, aspect)
 
 
 def _run(act: Callable[[], object], event: object) -> None:

@@ -19,6 +19,7 @@ from grasp_refine_apps.viewer.drawing.camera import (
     FirstCamera,
     first_camera,
     first_camera_of,
+    slanted,
 )
 from grasp_refine_apps.viewer.drawing.shapes import forearm
 from grasp_refine_apps.viewer.model.contacts import contacts_of
@@ -73,6 +74,16 @@ def test_it_stands_on_the_side_of_the_contacts(side: list[float]):
     contacts = ball[ball @ side > 0.048]
     camera = first_camera(0.06 * np.eye(3), ball, contacts)
     assert (camera.position - camera.look_at) @ side > 0
+
+
+def test_it_turns_little_where_another_place_is_hardly_better():
+    """Contacts all around an upright bottle are seen as well from any side."""
+    angle = np.linspace(0.0, 2 * np.pi, 60, endpoint=False)
+    ring = np.stack([0.03 * np.cos(angle), 0.03 * np.sin(angle), np.zeros(60)], axis=1)
+    for azimuth in (0.5, 2.5, 4.0):
+        before = slanted(np.array([np.cos(azimuth), np.sin(azimuth), 0.4]))
+        camera = first_camera(np.zeros((0, 3)), BALL, ring, before=before)
+        assert camera.towards @ before > 0.75
 
 
 def test_without_contacts_the_object_is_what_should_be_seen():

@@ -160,29 +160,88 @@ def test_the_first_camera_sees_hand_and_object(view: View, viewer: Controller) -
     assert_sees(view.server.initial_camera, view.nodes.corners(viewer.state.shown))
 
 
+def page_camera(number: int = 7) -> Any:
+    """A page whose camera looks from afar."""
+    camera = SimpleNamespace(position=np.array([3.0, 1.0, 2.0]), look_at=np.array([0.0, 0.0, 1.0]))
+    return SimpleNamespace(client_id=number, camera=camera, atomic=nullcontext)
+
+
+def back(camera: Any) -> np.ndarray:
+    """Unit vector towards a camera."""
+    away = np.array(camera.position) - np.array(camera.look_at)
+    return away / np.linalg.norm(away)
+
+
 @pytest.mark.parametrize("aspect", [0.5, 2.0])
-def test_the_camera_of_a_page_is_fitted_to_its_picture_and_looks_as_before(
-    view: View, viewer: Controller, aspect: float
+@pytest.mark.parametrize("beside", [False, True])
+def test_each_view_has_all_in_a_picture_of_any_shape(
+    view: View, viewer: Controller, aspect: float, *, beside: bool
 ) -> None:
     viewer.editor.move_object(ASIDE)
-    viewer.set(side_by_side=True)
+    viewer.set(side_by_side=beside)
     view.draw(viewer.state)
-    camera = SimpleNamespace(position=np.array([3.0, 1.0, 2.0]), look_at=np.array([0.0, 0.0, 1.0]))
-    client = SimpleNamespace(client_id=7, camera=camera, atomic=nullcontext)
-    before = np.array([3.0, 1.0, 1.0])
-    now = transform_points(ASIDE, view.nodes.corners(viewer.state.shown))
-    input_grasp = transform_points(pose(view.nodes.input_frame), view.nodes.corners(viewer.state.initial))
-    for first in (False, True):
-        view.fit(client, aspect, first=first)
-        back = camera.position - camera.look_at
-        first_camera = view.server.initial_camera
-        expected = np.array(first_camera.position) - np.array(first_camera.look_at) if first else before
-        np.testing.assert_allclose(np.cross(back, expected), 0.0, atol=1e-9 * np.linalg.norm(expected) + 1e-9)
-        assert_sees(camera, np.concatenate([now, input_grasp]), aspect)
-    # From straight above there is no right side: it looks from another one.
-    camera.position, camera.look_at = np.array([0.0, 0.0, 3.0]), np.zeros(3)
-    view.fit(client, aspect)
-    assert_sees(camera, np.concatenate([now, input_grasp]), aspect)
+    client = page_camera()
+    points = transform_points(ASIDE, view.nodes.corners(viewer.state.shown))
+    if beside:
+        input_grasp = transform_points(pose(view.nodes.input_frame), view.nodes.corners(viewer.state.initial))
+        points = np.concatenate([points, input_grasp])
+    for name in ("best", "front", "side", "palm"):
+        view.look(client, name, aspect)
+        assert_sees(client.camera, points, aspect)
+    view.look(client, "contacts", aspect)
+    assert_sees(client.camera, transform_points(ASIDE, view.contacts.point_object), aspect)
+    view.ready(client, aspect)
+    np.testing.assert_allclose(back(client.camera), back(view.server.initial_camera), atol=1e-9)
+    assert_sees(client.camera, points, aspect)
+
+
+def test_the_palm_is_seen_from_what_it_holds(view: View, viewer: Controller) -> None:
+    client = page_camera()
+    view.look(client, "palm")
+    hand = np.mean([T[:3, 3] for T in link_poses(viewer).values()], axis=0)
+    assert back(client.camera) @ (view.contacts.point_object.mean(axis=0) - hand) > 0
+
+
+def test_cameras_follow_the_grasp_until_a_user_moves_them_and_again_after_fit(
+    view: View, viewer: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    still, following = page_camera(1), page_camera(2)
+    monkeypatch.setattr(view.server, "get_clients", lambda: {1: still, 2: following})
+    for client in (still, following):
+        view.look(client, "best")
+    view.moved(still)
+    before = np.array(still.camera.position)
+    # Of another grasp, the hand is elsewhere.
+    for number in (1, 2):
+        viewer.grasps.show(number)
+        viewer.editor.move_object(transform(np.eye(3), np.array([0.0, 0.3 * number, 0.0])))
+        viewer.grasps.show(0)
+        viewer.grasps.show(number)
+        view.draw(viewer.state)
+        points = transform_points(viewer.state.T_world_object, view.nodes.corners(viewer.state.shown))
+        assert_sees(following.camera, points)
+        np.testing.assert_array_equal(still.camera.position, before)
+    # Iterations of a refinement and edits leave all cameras.
+    before = np.array(following.camera.position)
+    viewer.editor.set_joint(3, 0.4)
+    view.draw(viewer.state)
+    np.testing.assert_array_equal(following.camera.position, before)
+    view.look(still, "best")
+    viewer.grasps.show(0)
+    view.draw(viewer.state)
+    assert_sees(still.camera, view.nodes.corners(viewer.state.shown))
+
+
+def test_what_is_nearest_to_a_camera_is_cut_away(view: View, viewer: Controller) -> None:
+    client = page_camera()
+    view.look(client, "side")
+    depth = (np.array(client.camera.position) - view.nodes.corners(viewer.state.shown)) @ back(client.camera)
+    for share in (0.25, 0.75, 0.0):
+        view.cut(client, share)
+        hidden = (depth < client.camera.near).any()
+        assert hidden == (share > 0) and (not share or client.camera.near == pytest.approx(
+            depth.min() + share * np.ptp(depth)
+        ))  # fmt: skip
 
 
 def test_hands_that_lift_stay_in_the_picture(view: View, viewer: Controller) -> None:
