@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -119,7 +120,7 @@ def test_our_reader_of_tables_reads_the_last_frames(part: ExportedGrasps, folder
     names = [f"observation.state.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
     joints = ", ".join(f'{name} = "observation.state.{name}"' for name in part.hand.joint_names)
     text = f"""
-table = "{folder}"
+table = "set"
 base_link = "{part.hand.base_link}"
 position = {json.dumps(names[:3])}
 rotation = {json.dumps(names[3:])}
@@ -129,6 +130,7 @@ object = "sphere:0.03"
 episode = "episode_index"
 frame = "last"
 """
+    shutil.copytree(folder, tmp_path / "set")
     (tmp_path / "set.toml").write_text(text)
     read = reading(tmp_path / "set.toml").grasps
     order = [part.joint_names.index(name) for name in read.joint_names]
