@@ -164,6 +164,8 @@ if TYPE_CHECKING:
     from grasp_refine.refinement.terms.torch_term import TorchTerm as TorchTerm
     from grasp_refine.refinement.terms.weights import Weights as Weights
     from grasp_refine.sampling.sample import sample_grasps as sample_grasps
+    from grasp_refine.scans.hypothesis import Hypothesis as Hypothesis
+    from grasp_refine.scans.scan import Scan as Scan
     from grasp_refine.scene.contact_selection import ContactSelection as ContactSelection
     from grasp_refine.scene.environment import Environment as Environment
     from grasp_refine.scene.protocols.protocol import Protocol as Protocol
@@ -285,6 +287,8 @@ _HOMES = {
     "refinement.terms.torch_term": ("TorchTerm",),
     "refinement.terms.weights": ("Weights",),
     "sampling.sample": ("sample_grasps",),
+    "scans.hypothesis": ("Hypothesis",),
+    "scans.scan": ("Scan",),
     "scene.contact_selection": ("ContactSelection",),
     "scene.environment": ("Environment",),
     "scene.protocols.protocol": ("Protocol",),

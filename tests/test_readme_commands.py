@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import shutil
@@ -10,12 +11,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
+from grasp_refine.scans.depth_camera import D435, depth_of, views_around
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands import options
 from readme import GUIDES, PAGES, TEXT, blocks, run_python
@@ -101,10 +104,16 @@ def newcomer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     np.save(tmp_path / "my_joints.npy", q)
     monkeypatch.chdir(tmp_path)
     run_python("my_poses.npy")
+    (pose,) = views_around(load_object("rounded_box").mesh, 1, seed=0)
+    depth = depth_of(load_object("rounded_box").mesh, pose)
+    Image.fromarray(np.round(depth * 1e3).astype(np.uint16)).save("depth.png")
+    Image.fromarray((depth > 0).astype(np.uint8)).save("mask.png")
+    np.savetxt("camera.txt", pose)
+    Path("lens.json").write_text(json.dumps({name: getattr(D435, name) for name in ("fx", "fy", "cx", "cy")}))
     return tmp_path
 
 
-RECIPES = ("my-hand", "my-object", "my-dataset", "validate", "scenes", "use-it-in")
+RECIPES = ("my-hand", "my-object", "my-dataset", "validate", "scenes", "use-it-in", "scans")
 """Guides that begin with commands to be copied."""
 
 
@@ -138,6 +147,7 @@ def test_recipes_run(guide: str, newcomer: Path, capfd: pytest.CaptureFixture[st
         "my-dataset": ("refined/report.html", "grasp-refine-results/my_hand_my_object.npz"),
         "validate": ("grasp-refine-results/allegro_mug.npz", "replays"),
         "scenes": ("grasp-refine-results/allegro_mug.npz",),
+        "scans": ("grasp-refine-results/allegro_depth.npz",),
         "use-it-in": (
             "allegro_mug_mujoco/simulate.py",
             "allegro_mug_tables/contacts.csv",

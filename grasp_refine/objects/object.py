@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias, TypeGuard, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, cast
 
 import numpy as np
 
 from grasp_refine.core.arguments import check_kind, describe_value, is_number
 from grasp_refine.core.array_types import Float
-from grasp_refine.core.errors import AssetError, MeshError
+from grasp_refine.core.errors import AssetError, GraspRefineError, MeshError
 from grasp_refine.core.names import is_folder
 from grasp_refine.core.plurals import count_text
 from grasp_refine.geometry.body import Body, build_body
@@ -27,12 +27,16 @@ from grasp_refine.geometry.surface_distance import surface_note
 from grasp_refine.geometry.units import UNITS, Unit, check_size
 from grasp_refine.hands.files.inertia import Inertia
 from grasp_refine.objects.folders import given_pieces, surface
+from grasp_refine.objects.seen import HYPOTHESES, Completing, record_of, seen_object
 from grasp_refine.scans.hypothesis import Hypothesis
+from grasp_refine.scans.reading import SCAN_SUFFIXES, Sensors, is_scan
 from grasp_refine.scans.scan import Scan
 
 if TYPE_CHECKING:
     import trimesh
     from numpy.typing import ArrayLike
+
+    from grasp_refine.scans.depth_camera import Intrinsics
 
     Mesh: TypeAlias = trimesh.Trimesh | tuple[ArrayLike, ArrayLike]
 
@@ -75,6 +79,8 @@ class Object:
     """Scan of which this is the most probable completion; None: its surface is known."""
     hypotheses: tuple[Hypothesis, ...] = ()
     """Solids that a scanned object may be, the most probable first."""
+    record: Mapping[str, Any] | None = None
+    """Arguments with which `load_object` reads the scan again, as JSON; None: it is in memory, or there is no scan."""
 
     def __repr__(self) -> str:
         size = " x ".join(f"{side * 1e3:.3g}" for side in self.mesh.extents)
@@ -167,8 +173,17 @@ class Object:
 
 
 def load_object(
-    source: str | Path | Mesh,
+    source: str | Path | Mesh | Scan | None = None,
     *,
+    points: ArrayLike | None = None,
+    normals: ArrayLike | None = None,
+    seen_from: str | Sequence[str] | ArrayLike | None = None,
+    camera: str | Path | ArrayLike | None = None,
+    intrinsics: str | Path | ArrayLike | Intrinsics | None = None,
+    mask: str | Path | ArrayLike | None = None,
+    hypotheses: int = HYPOTHESES,
+    completions: str | Path | None = None,
+    table: float | Sequence[ArrayLike] | None = None,
     name: str | None = None,
     scale: float = 1.0,
     unit: Unit | None = None,
@@ -178,7 +193,7 @@ def load_object(
     seed: int = 0,
     cache: str | Path | None = "user",
 ) -> Object:
-    """Return the object that `source` names or is: embedded, a primitive, a mesh, a folder of pieces.
+    """Return the object that `source` names or is: embedded, a primitive, a mesh, a folder of pieces, a scan.
 
     It is read and checked, and decomposed into convex pieces when they are first needed, or by `prepare`.
 
@@ -186,27 +201,51 @@ def load_object(
     displayed surface is the folder's if it has one, else all pieces. A mesh file of convex bodies is not decomposed
     either, and the pieces of the embedded objects come with the program.
 
+    A scan is a point cloud (PLY, PCD, XYZ, NPZ), a depth picture (PNG, NPY, NPZ), `points` in memory, or a mesh that is
+    open where `seen_from` or `camera` is given. The object is then the most probable of several `hypotheses` of the
+    solid that was seen:
+
+        gr.load_object("scan.ply", seen_from=(0, 0, 0.5))
+        gr.load_object("depth.png", intrinsics=(600, 600, 320, 240), mask="mask.png", camera=T_object_camera)
+        gr.load_object(points=points, normals=normals)
+
     Args:
         source: name in EMBEDDED, "box:x,y,z", "sphere:r", "cylinder:r,h", or a path; or a mesh in memory, a
-            `trimesh.Trimesh` or a pair of vertices (V, 3) and faces (F, 3).
-        name: of the object; None: that of the source, "object" for a mesh in memory.
-        scale: factor that takes the mesh, or the pieces, to metres.
+            `trimesh.Trimesh` or a pair of vertices (V, 3) and faces (F, 3); or a `Scan`; None: `points`.
+        points: points (P, 3) on the seen surface.
+        normals: their normals (P, 3), out of the object; None: unknown, then a sensor has to be known.
+        seen_from: position x, y, z, or several, of the sensor in the object's frame, metres.
+        camera: pose (4, 4) of the camera in the object's frame, or several, or a file of them: OpenCV's axes, x to the
+            right, y down, z forward, metres. Points are then in the camera's frame. Without it, the frame of a depth
+            picture is the camera's.
+        intrinsics: fx, fy, cx, cy of the camera of a depth picture in pixels, the matrix (3, 3), or a file of them.
+        mask: picture or array that is not 0 where a depth picture shows the object; None: wherever it has a depth.
+        hypotheses: number of solids that a scanned object may be.
+        completions: folder of completed meshes of the scan by another program, which are the hypotheses instead;
+            weights.toml in it has lines mesh = weight, else all are equally probable.
+        table: height of a table in the object's frame, z up, on which a scanned object stands, or a point of it and its
+            normal.
+        name: of the object; None: that of the source, "object" for a mesh or points in memory.
+        scale: factor that takes the mesh, the pieces, or the points to metres.
         unit: of the mesh times the scale. None is metres too, but a size that no hand grasps is then an error that
-            asks for the unit; "m" accepts metres whatever the size.
+            asks for the unit; "m" accepts metres whatever the size. Depth pictures of integers are in millimetres.
         decomposition: settings for cutting a concave mesh into convex pieces; None: the defaults.
         holes: treatment of a mesh with holes: an error, flat caps on flat holes, or its convex hull.
         candidates: number of points on the surface.
-        seed: of the surface points.
+        seed: of the surface points, and of the hypotheses.
         cache: folder of earlier decompositions; "user" is the user's cache folder, None: no cache.
 
     Raises:
         AssetError: no such name.
-        MeshError: the mesh is missing, unreadable, open, flat, empty or of a size that asks for its unit, a folder has
-            no usable piece or one that cannot be read, or the scale is not positive.
-        GraspRefineError: an argument of another kind.
+        MeshError: the mesh or scan is missing, unreadable, open, flat, empty or of a size that asks for its unit, a
+            folder has no usable piece or one that cannot be read, the scale is not positive, or points are too few, a
+            plane, or several objects.
+        GraspRefineError: an argument of another kind, or one that does not fit the others.
     """
-    if not is_mesh(source):
-        check_kind("source", source, str | Path)
+    if (source is None) == (points is None):
+        raise GraspRefineError("give an object, or its `points`" + ("" if points is None else ", not both"))
+    if not (source is None or is_mesh(source)):
+        check_kind("source", source, str | Path | Scan)
     check_kind("name", name, str | None)
     check_kind("unit", unit, Unit | None)
     check_kind("decomposition", decomposition, Decomposition | None)
@@ -215,40 +254,66 @@ def load_object(
     check_kind("seed", seed, int)
     check_drawing(candidates, seed)
     check_kind("cache", cache, str | Path | None)
-    text = (name or "object") if is_mesh(source) else str(source)
+    settings = decomposition or Decomposition()
+    in_memory = not isinstance(source, str | Path)
+    text = (name or "object") if in_memory else str(source)
     if not (is_number(scale) and 0 < scale < np.inf):
         raise MeshError(f"{text}: the scale must be positive and finite, got {describe_value(scale)}")
-    scale *= (factor := UNITS[unit or "m"])
+    sensors = Sensors(seen_from, camera, intrinsics, mask)
+    completing = Completing(hypotheses, completions, table)
+    metres = scale * (factor := UNITS[unit or "m"])
+    seen: Path | Scan | trimesh.Trimesh | None = None
+    is_seen = source is None or isinstance(source, Scan)
     pieces: Sequence[Piece] = ()
     notes: tuple[str, ...] = ()
     file: tuple[Path, float] | None = None
     beside = False
-    if is_mesh(source):
-        known, mesh = text, _mesh_in_memory(source, scale, text)
+    known = text
     # An empty path would be the current folder.
-    elif text and (text not in EMBEDDED or isinstance(source, Path)) and is_folder(Path(text)):
+    named = not in_memory and text in EMBEDDED and not isinstance(source, Path)
+    if is_seen:
+        seen = cast(Scan | None, source)
+    elif is_mesh(source):
+        mesh = _mesh_in_memory(source, metres, text)
+    elif text and not named and is_folder(Path(text)):
         known = Path(os.path.abspath(text)).name
-        pieces, notes = given_pieces(Path(text), scale)
-        mesh, more = surface(Path(text), pieces, scale)
+        pieces, notes = given_pieces(Path(text), metres)
+        mesh, more = surface(Path(text), pieces, metres)
         notes += more
         beside = not np.array_equal(mesh.vertices, np.concatenate([piece.vertices for piece in pieces]))
+    elif not named and is_scan(Path(text)):
+        known, seen, is_seen, file = Path(text).stem, Path(text), True, (Path(text), metres)
     elif Path(text).suffix.lower() in SUFFIXES or isinstance(source, Path):
-        known, mesh, file = Path(text).stem, load_mesh(text, scale), (Path(text), scale)
-    elif text in EMBEDDED:
-        known, mesh = text, EMBEDDED[text]().apply_scale(scale)
+        known, mesh, file = Path(text).stem, load_mesh(text, metres), (Path(text), metres)
+    elif named:
+        mesh = EMBEDDED[text]().apply_scale(metres)
     elif ":" in text:
-        known, mesh = text, primitive(text).apply_scale(scale)
-        pieces = [Piece(p.vertices * scale, p.faces, p.radius * scale) for p in primitive_pieces(text)]
+        mesh = primitive(text).apply_scale(metres)
+        pieces = [Piece(p.vertices * metres, p.faces, p.radius * metres) for p in primitive_pieces(text)]
     elif "/" in text or Path(text).suffix:
-        known, mesh, file = Path(text).stem, load_mesh(text, scale), (Path(text), scale)
+        known, mesh, file = Path(text).stem, load_mesh(text, metres), (Path(text), metres)
     else:
         raise AssetError(
             f"no object '{text}': embedded ones are {', '.join(EMBEDDED)}; "
             f"primitives are {PRIMITIVE_FORMS}; "
-            f"or give a mesh file ({', '.join(SUFFIXES)}), or a folder of meshes that are its convex pieces"
+            f"or give a mesh file ({', '.join(SUFFIXES)}), a scan ({', '.join(SCAN_SUFFIXES)}), or a folder of meshes "
+            "that are its convex pieces"
         )
-    check_size(mesh.extents / factor, unit, text)
+    if not is_seen:
+        check_size(mesh.extents / factor, unit, text)
+        if sensors.known and not (pieces or named):
+            seen, is_seen = mesh, True
     name = name or known
+    if is_seen:
+        scan, notes = seen_object(seen, points, normals, sensors, text, scale=scale, unit=unit)
+        solids, more = completing.solids(
+            scan, scale=metres, holes=holes, decomposition=settings, cache=_folder(cache), seed=seed
+        )
+        found = scanned_object(name, scan, solids, candidates=candidates, seed=seed)
+        record = record_of(file[0], sensors, completing) if file else None
+        return replace(found, repairs=(*notes, *more), file=file, record=record)
+    if sensors.known or completions is not None:
+        raise GraspRefineError(f"{text}: its surface is known; sensors and completions are for scans")
     convex = len(pieces) == 1
     if not pieces:
         mesh, notes = watertight(mesh, name, holes)
@@ -263,10 +328,39 @@ def load_object(
         tuple(pieces),
         file,
         beside,
-        decomposition or Decomposition(),
+        settings,
         candidates=candidates,
         seed=seed,
         cache=cache,
+    )
+
+
+def scanned_object(
+    name: str, scan: Scan, hypotheses: tuple[Hypothesis, ...], *, candidates: int = 1024, seed: int = 0
+) -> Object:
+    """Return the object of a scan: its most probable completion, which knows the scan and all completions.
+
+    Args:
+        name: Name of the object.
+        scan: The scan.
+        hypotheses: Completions, the most probable first.
+        candidates: Number of points on the surface of each.
+        seed: Seed of these points.
+    """
+    import trimesh
+
+    pieces = hypotheses[0].pieces
+    mesh = trimesh.util.concatenate([piece.mesh() for piece in pieces])
+    assert isinstance(mesh, trimesh.Trimesh)
+    return Object(
+        name,
+        mesh,
+        len(pieces) == 1,
+        supplied=pieces,
+        candidates=candidates,
+        seed=seed,
+        scan=scan,
+        hypotheses=hypotheses,
     )
 
 

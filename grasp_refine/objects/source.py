@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from grasp_refine.assets.locating import fetched
 from grasp_refine.assets.manifest import Asset, read_manifest
@@ -16,6 +17,7 @@ from grasp_refine.geometry.mesh import SUFFIXES
 from grasp_refine.geometry.shapes import EMBEDDED, primitive_pieces
 from grasp_refine.objects.folders import find_object
 from grasp_refine.objects.object import PRIMITIVE_FORMS
+from grasp_refine.scans.reading import SCAN_SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,8 @@ class ObjectSource:
     """Name or path."""
     asset: Asset | None = None
     """The asset, if it is one; its `scale` makes it fit a hand."""
+    record: Mapping[str, Any] | None = None
+    """Arguments of `load_object` with which a scan was read before, see `Object.record`."""
 
 
 def chosen_object(name: str, on_message: Callable[[str], None]) -> ObjectSource:
@@ -45,8 +49,8 @@ def check_object_name(name: str) -> None:
         AssetError: no object has this name, or several assets have.
         MeshError: it is the path of a mesh file that does not exist.
     """
-    if ":" not in name and Path(name).suffix.lower() in SUFFIXES and not exists(Path(name)):
-        raise MeshError(f"{name}: no such mesh file")
+    if ":" not in name and Path(name).suffix.lower() in (*SUFFIXES, *SCAN_SUFFIXES) and not exists(Path(name)):
+        raise MeshError(f"{name}: no such file")
     _asset_meant(name)
 
 
@@ -60,8 +64,8 @@ def _asset_meant(name: str) -> Asset | None:
         meant = did_you_mean(name.replace("/", "_"), [*EMBEDDED, *read_manifest("objects")], otherwise=":")
         raise AssetError(
             f"no object '{name}'{meant} embedded ones are {', '.join(EMBEDDED)}; primitives are {PRIMITIVE_FORMS}; or "
-            f"give a mesh file ({', '.join(SUFFIXES)}), a folder of convex pieces, or an asset "
-            "(refine-grasp assets list objects)"
+            f"give a mesh file ({', '.join(SUFFIXES)}), a scan ({', '.join(SCAN_SUFFIXES)}), a folder of convex "
+            "pieces, or an asset (refine-grasp assets list objects)"
         )
     return asset
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from grasp_refine.core.array_records import take
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
+from grasp_refine.core.json_files import dumps
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.geometry.decomposition import Decomposition
@@ -32,7 +33,9 @@ from grasp_refine.problem.recorded_objects import Recorded
 from grasp_refine.problem.sampled import check_sampled, with_samples
 from grasp_refine.problem.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
 from grasp_refine.problem.transferred import at_rest, to_transfer, with_transfers
+from grasp_refine.scans.reading import is_scan
 from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene_file import load_scene
 from grasp_refine.scene.task_spec import NO_SCENE
 from grasp_refine.transfers.key_points import MANO, KeyPoints, load_key_points
@@ -163,7 +166,7 @@ class Loader:
         grasps = read.grasps
         names = self._names(grasps, path)
         chosen = {name: choose_rows(grasps.object, object_name=name, index=spec.index or None) for name in names}
-        sources = {name: self._source(name, path) for name in names}
+        sources = {name: self._source(name, path, recorded) for name in names}
         grasps = replace(grasps, targets=self._targets(grasps, path))
         if spec.transfer_from is not None:
             return self._to_transfer(read, path)
@@ -282,10 +285,14 @@ class Loader:
             GraspRefineError: it cannot be read or used.
         """
         spec, seed = self.spec, self.seed
+        table = spec.table if not isinstance(spec.table, Plane) else spec.table.point_and_normal
+        of_scan = {"table": table} | dict(source.record or {}) | spec.scan_arguments()
+        of_scan.pop("source", None)
 
         def load() -> Object:
             return load_object(
                 source.source,
+                **of_scan,
                 name=None if source.asset is None else source.asset.name,
                 scale=scale,
                 unit=spec.unit,
@@ -294,7 +301,8 @@ class Loader:
                 seed=seed,
             )
 
-        return self.cache.get("object", (source.source, scale, spec.unit, spec.holes, spec.threshold, seed), load)
+        key = (source.source, scale, spec.unit, spec.holes, spec.threshold, seed, dumps(of_scan))
+        return self.cache.get("object", key, load)
 
     def environment(self) -> Environment | None:
         """Return the bodies around the object of the specified scene; None: there is none.
@@ -355,11 +363,18 @@ class Loader:
             )
         return names
 
-    def _source(self, name: str, path: Path) -> ObjectSource:
-        """Return the source of the object `name` of the grasp file."""
+    def _source(self, name: str, path: Path, recorded: Recorded | None = None) -> ObjectSource:
+        """Return the source of the object `name` of the grasp file; of a recorded scan, with its sensors."""
         spec = self.spec
+        scan = None if recorded is None else recorded.scan(name)
         if spec.object is not None:
-            return chosen_object(spec.object, self.on_message)
+            source = chosen_object(spec.object, self.on_message)
+            again = scan is not None and (
+                str(Path(spec.object).absolute()) == scan["source"] or is_scan(Path(spec.object))
+            )
+            return replace(source, record=scan) if again else source
+        if scan is not None and spec.objects is None:
+            return ObjectSource(Path(scan["source"]), record=scan)
         return named_object(
             name, None if spec.objects is None else on_disk(spec.objects, self.on_message), path, self.on_message
         )

@@ -16,6 +16,7 @@ from grasp_refine.grasps.provenance import read_provenance
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region_spec import VERBS, is_spec
+from grasp_refine.objects.seen import is_record
 from grasp_refine.problem.problem import Group
 from grasp_refine.results.result_files import fingerprint
 from grasp_refine.scene.environment import Environment
@@ -145,6 +146,19 @@ class Recorded:
         )
         return touch, avoid, notes
 
+    def scan(self, name: str) -> Mapping[str, Any] | None:
+        """Return the arguments of `load_object` with which the scan of an object was read; None: it was no scan.
+
+        Scans of several files, or arguments that differ, are left out.
+        """
+        found = []
+        for provenance in self.files.values():
+            entries = provenance.get("objects")
+            for entry in entries if isinstance(entries, list) else ():
+                if isinstance(entry, dict) and entry.get("name") == name and is_record(entry.get("scan")):
+                    found.append(entry["scan"])
+        return found[0] if found and all(record == found[0] for record in found) else None
+
     def check_objects(self, groups: Iterable[Group], *, other: bool) -> tuple[str, ...]:
         """Return notes on grasps that were refined on another object, or other convex pieces, than the present.
 
@@ -201,6 +215,7 @@ def object_entries(groups: Iterable[Group]) -> list[dict[str, Any]]:
             "scale": float(group.scale),
             **_digests(group.scene.object),
             "measures_m": _measures(group.scene.object.mesh),
+            **({} if group.scene.object.record is None else {"scan": group.scene.object.record}),
         }
         for group in groups
     ]

@@ -15,6 +15,7 @@ from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.units import UNITS, Unit
 from grasp_refine.hands.files.link_geometry import HULL_LIMIT
+from grasp_refine.objects.seen import HYPOTHESES
 from grasp_refine.scene.task_spec import TaskSpec
 
 AUTO, NEAREST = "auto", "nearest"
@@ -23,10 +24,13 @@ AUTO, NEAREST = "auto", "nearest"
 SAMPLE = "sample:"
 """Prefix of `grasps` for sampled grasps instead of a file, as in sample:32."""
 
-PATHS = ("urdf", "mjcf", "objects", "grasps")
+PATHS = ("urdf", "mjcf", "objects", "grasps", "mask", "completions")
 """Fields that are kept as `Path`."""
 
-NAMES_OR_PATHS = ("hand", "transfer_from", "arm", "object", "targets", "task", "protocol", "scene")
+NAMES_OR_PATHS = (
+    *("hand", "transfer_from", "arm", "object", "targets", "task", "protocol", "scene"),
+    *("camera", "intrinsics"),
+)
 """Fields that are names, or paths if they cannot be names; kept as text."""
 
 
@@ -53,7 +57,35 @@ class HandSpec:
 
 
 @dataclass(frozen=True)
-class SourceSpec(HandSpec, TaskSpec):
+class ScanSpec:
+    """Reading of an object that was only seen: its sensors, and the solids that it may be."""
+
+    seen_from: tuple[str, ...] = ()
+    """Position x,y,z (metres) of the sensor that saw a point cloud or an open mesh, in its frame; again for several.
+    By default what the file says."""
+    camera: str | None = None
+    """Pose of the camera in the object's frame: x,y,z,roll,pitch,yaw (metres, degrees), or a file of the matrix (4, 4):
+    .npy, .json or text. Its axes are OpenCV's: x right, y down, z forward. By default the object's frame is the frame
+    of the cloud, or of the camera of a depth picture."""
+    intrinsics: str | None = None
+    """Camera of a depth picture: fx,fy,cx,cy (pixels), or a file of them or of the matrix: .json, .yaml, .npy or text.
+    By default what the file says."""
+    mask: Path | None = None
+    """Picture of the size of a depth picture, black where that does not show the object. By default none."""
+    hypotheses: int = HYPOTHESES
+    """Number of solids that a scanned object may be, over which grasps are refined."""
+    completions: Path | None = None
+    """Folder of completed meshes of a scan by another program, which replace the hypotheses; weights.toml in it may
+    have lines mesh = weight. By default none."""
+
+    def scan_arguments(self) -> dict[str, Any]:
+        """Return the arguments of `load_object` that are given here."""
+        given = {one.name: getattr(self, one.name) for one in fields(ScanSpec)}
+        return {name: value for name, value in given.items() if value != getattr(ScanSpec, name)}
+
+
+@dataclass(frozen=True)
+class SourceSpec(ScanSpec, HandSpec, TaskSpec):
     """Hand, objects and task of grasps whose file is given elsewhere."""
 
     hand: str | None = None
@@ -74,7 +106,8 @@ class SourceSpec(HandSpec, TaskSpec):
     hand's hand.toml (flange), else the same frame."""
     object: str | None = None
     """Object: an embedded one (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, a mesh file, a
-    folder of convex pieces, or an asset such as ycb/011_banana. By default the object of the grasp file."""
+    folder of convex pieces, an asset such as ycb/011_banana, or a scan: a point cloud (.ply, .pcd, .xyz, .npz) or a
+    depth picture (.png, .npy, .npz). By default the object of the grasp file."""
     object_name: str | None = None
     """Name of the object in the grasp file; needed where it holds several."""
     objects: Path | None = None

@@ -68,7 +68,8 @@ def scan_of_points(
     _check_count(len(points), name)
     if normals is None and not len(origins):
         raise MeshError(
-            f"{name}: points without normals need the position of the sensor: which side of the surface is outside?"
+            f"{name}: points without normals need the position of the sensor (`seen_from`): which side of them is "
+            "outside? In the frame of its camera, a cloud was seen from 0,0,0"
         )
     if view is None:
         away = np.stack([((points - origin) ** 2).sum(axis=1) for origin in origins], axis=1) if len(origins) else None

@@ -34,6 +34,11 @@ class Plane:
         if not abs(np.linalg.norm(normal) - 1.0) <= UNIT:
             raise GraspRefineError(f"Plane: normal must be of unit length, got {self.normal}")
 
+    @property
+    def point_and_normal(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Nearest point to the object's origin, metres, and the normal."""
+        return tuple(self.offset * part for part in self.normal), self.normal
+
     def heights(self, bodies: Sequence[Body], T_world_body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distances (M, L) of bodies from the plane in metres, and where (M, L, 3) they are least, object frame.
 

@@ -8,7 +8,7 @@ import pytest
 import grasp_refine as gr
 from grasp_refine.closing.hypotheses import Ends
 from grasp_refine.geometry.pieces import Piece, hull
-from grasp_refine.objects.scanned import scanned_object
+from grasp_refine.objects.object import scanned_object
 from grasp_refine.problem.scanned import next_views
 from grasp_refine.scans.hypothesis import Hypothesis
 from grasp_refine.scans.scan import Scan

@@ -10,6 +10,7 @@ from typing import Any
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.json_files import dumps
+from grasp_refine.core.names import exists
 from grasp_refine.core.versions import own_version
 from grasp_refine.hands.files.mesh_files import resolve_mesh
 from grasp_refine.hands.files.mjcf_xml import MJCF_SUFFIXES
@@ -26,6 +27,9 @@ from grasp_refine.transfers.key_points import MANO
 LAYOUT_VERSION = 1
 """Version of the layout of result files; a new number makes all results outdated."""
 
+SCAN_FILES = ("camera", "intrinsics", "mask", "completions")
+"""Inputs of a scan that are files or folders, or numbers."""
+
 CONTENT_INPUTS = (
     "hand",
     "transfer_from",
@@ -39,6 +43,7 @@ CONTENT_INPUTS = (
     "targets",
     "index",
     "scene",
+    *SCAN_FILES,
 )
 """Inputs that are hashed by their contents, not by their names."""
 
@@ -118,6 +123,10 @@ class Digests:
         for name in VERBS:
             specs = described.pop(name)
             depends |= {name: [spec_digest(spec) for spec in specs]} if specs else {}
+        for name in SCAN_FILES:
+            if (value := getattr(inputs, name)) is not None:
+                path = Path(value)
+                depends[name] = self.file(path)["sha256"] if exists(path) else str(value)
         targets = inputs.targets
         if targets not in (AUTO, NEAREST):
             targets = self.file(Path(targets))["sha256"]

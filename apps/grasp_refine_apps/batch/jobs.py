@@ -6,6 +6,7 @@ import csv
 import glob
 import itertools
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from math import isnan
@@ -22,7 +23,7 @@ from grasp_refine.grasps.formats.folders import disambiguate, natural
 from grasp_refine.grasps.formats.reading import is_other, may_be_other
 from grasp_refine.objects.region_spec import VERBS, resolve_spec
 from grasp_refine.problem.named_inputs import on_disk
-from grasp_refine.problem.spec import NAMES_OR_PATHS, SAMPLE, ProblemSpec
+from grasp_refine.problem.spec import NAMES_OR_PATHS, PATHS, SAMPLE, ProblemSpec
 
 LISTS = (".toml", ".csv")
 """Suffixes of job lists."""
@@ -210,12 +211,12 @@ def _values(raw: Mapping[str, Any], path: Path, where: str) -> dict[str, Any]:
 
 def _value(key: str, value: Any, hint: Any, folder: Path, where: str) -> Any:
     """Convert a value of a list to the type of its field; paths are relative to the list, if they exist there."""
-    if key in VERBS:
-        # Regions of the object: one, or a list of several.
+    if key in VERBS or hint == tuple[str, ...]:
+        # One, or a list of several.
         specs = value if isinstance(value, list) else [value]
         if not all(isinstance(spec, str) and spec for spec in specs):
             raise GraspRefineError(f"{where} must be a text or a list of texts, got {quote_value(value)}")
-        return tuple(resolve_spec(spec, folder, where) for spec in specs)
+        return tuple(resolve_spec(spec, folder, where) if key in VERBS else spec for spec in specs)
     kinds = [kind for kind in _alternatives(hint) if kind is not type(None)]
     choices = [choice for kind in kinds if get_origin(kind) is Literal for choice in get_args(kind)]
     if float in kinds:
@@ -226,6 +227,10 @@ def _value(key: str, value: Any, hint: Any, folder: Path, where: str) -> Any:
         if isnan(number):
             raise GraspRefineError(f"{where} must be a number, got {quote_value(value)}")
         return number
+    if int in kinds:
+        if isinstance(value, bool) or not re.fullmatch(r"[0-9]{1,9}", str(value)):
+            raise GraspRefineError(f"{where} must be a whole number, got {quote_value(value)}")
+        return int(value)
     if bool in kinds:
         # A cell of a CSV file is text.
         truth = {"true": True, "false": False}.get(value.lower()) if isinstance(value, str) else value
@@ -269,7 +274,7 @@ def _with_absolute_paths(inputs: ProblemSpec) -> ProblemSpec:
         path = expand_user(Path(value))
         return type(value)(path.absolute()) if exists(path) else value
 
-    absolutes = {name: absolute(getattr(inputs, name)) for name in ("urdf", "mjcf", "objects", "grasps")}
+    absolutes = {name: absolute(getattr(inputs, name)) for name in PATHS}
     for name in NAMES_OR_PATHS:
         value = getattr(inputs, name)
         absolutes[name] = absolute(value) if isinstance(value, str) and _is_path(value) else value

@@ -21,7 +21,7 @@ from grasp_refine.problem.input_cache import InputCache
 from grasp_refine.problem.load import Loader
 from grasp_refine.problem.sampled import check_sampled
 from grasp_refine.problem.spec import SAMPLE, ProblemSpec
-from grasp_refine_apps.batch.digests import Digests
+from grasp_refine_apps.batch.digests import SCAN_FILES, Digests
 from grasp_refine_apps.batch.jobs import Job
 from grasp_refine_apps.batch.record import is_result
 from grasp_refine_apps.batch.shard import Shard
@@ -40,6 +40,7 @@ INPUT_PATHS = (
     "task",
     "protocol",
     "scene",
+    *SCAN_FILES,
 )
 """ProblemSpec that may be files or folders."""
 

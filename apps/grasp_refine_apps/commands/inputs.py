@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 from tyro.conf import DisallowNone, arg
 
-from grasp_refine.problem.spec import ProblemSpec, SourceSpec
+from grasp_refine.problem.spec import ProblemSpec, ScanSpec, SourceSpec
 from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine.scene.task_spec import TaskSpec
 from grasp_refine_apps.commands.format_names import FormatName
@@ -36,6 +36,11 @@ OBJECT = OptionGroup(
     "The object. Its mesh must be watertight, and its size that of a thing to grasp.",
     ("object", "object_name", "objects", "scale", "unit", "holes", "threshold", "other_object"),
 )
+SCAN = OptionGroup(
+    "scan",
+    "An object that was only seen: what saw it, and the solids that it may be.",
+    tuple(ScanSpec.__dataclass_fields__),
+)
 TASK = OptionGroup(
     "task",
     "What the grasps must do, and where: recorded in results, and simulated where that is asked for.",
@@ -52,6 +57,7 @@ class Sources(SourceSpec):
         OptionGroup("grasps", "What is read of the files.", OF_FILES),
         HAND,
         OBJECT,
+        SCAN,
         TASK,
     )
     metavars: ClassVar[Mapping[str, str]] = {
@@ -70,6 +76,11 @@ class Sources(SourceSpec):
         "avoid": "REGION",
         "table": "Z",
         "grasps": "FILE|sample:N",
+        "seen_from": "X,Y,Z",
+        "camera": "POSE|FILE",
+        "intrinsics": "FX,FY,CX,CY|FILE",
+        "mask": "FILE",
+        "completions": "FOLDER",
     }
 
     format: FormatName | None = None
@@ -99,5 +110,6 @@ class Inputs(Sources, ProblemSpec):
         OptionGroup("grasps", "The grasps to begin from.", ("grasps", "targets", *OF_FILES)),
         HAND,
         OBJECT,
+        SCAN,
         TASK,
     )

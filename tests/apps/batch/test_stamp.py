@@ -260,6 +260,12 @@ FIELDS: dict[str, dict[str, Any]] = {
     "scene": {"scene": "desk.toml"},
     "base": {"base": "0.1,0,0,0,0,0"},
     "touch": {"touch": ("above:z=0",)}, "avoid": {"avoid": ("above:z=0",)},
+    "seen_from": {"seen_from": ("0,0,1",)},
+    "camera": {"camera": "camera.txt"},
+    "intrinsics": {"intrinsics": "600,600,320,240"},
+    "mask": {"mask": Path("task.toml")},
+    "hypotheses": {"hypotheses": 2},
+    "completions": {"completions": Path("objects")},
 }  # fmt: skip
 """Field of a job -> another job, in which it is the last of the entries."""
 
