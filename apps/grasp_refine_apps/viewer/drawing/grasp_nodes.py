@@ -30,6 +30,7 @@ from grasp_refine_apps.viewer.drawing.glyphs import (
 from grasp_refine_apps.viewer.drawing.ground import Ground
 from grasp_refine_apps.viewer.drawing.interaction import Interaction
 from grasp_refine_apps.viewer.drawing.region_nodes import RegionNodes
+from grasp_refine_apps.viewer.drawing.scan_nodes import ScanNodes
 from grasp_refine_apps.viewer.drawing.scene_nodes import (
     Arrows,
     ColoredPatches,
@@ -116,6 +117,7 @@ class GraspNodes:
         self._object_style: dict[str, Any] = {"opacity": opacity, "wireframe": wireframe}
         self.object = Meshes(scene, f"{GRASP_NODE}/object/mesh", self.object_shapes, **self._object_style)
         self.regions = RegionNodes(scene, f"{GRASP_NODE}/object/regions", self._surface)
+        self.scan = ScanNodes(scene, f"{GRASP_NODE}/object/scan", obj) if display.scan else None
         self.input_frame = scene.add_frame("/beside", show_axes=False, visible=False)
         self._input: tuple[HandMeshes, Meshes] | None = None
         self._label: Any = None

@@ -83,6 +83,8 @@ class DisplayOptions:
     """The table and other bodies around the object, where there are any; obstacles are red."""
     regions: bool = True
     """Whether regions, if there are any, are tinted: green where links may touch the object, red where they may not."""
+    scan: bool = True
+    """Of a scanned object, the points that were seen, and the edges of the other solids that it may be."""
     ground: bool = True
     """The ground, with the shadow of hand and object; a cell is 5 cm wide."""
 

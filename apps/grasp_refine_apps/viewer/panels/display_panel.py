@@ -17,6 +17,7 @@ from grasp_refine_apps.viewer.drawing.grasp_nodes import (
     TARGET_COLOR,
 )
 from grasp_refine_apps.viewer.drawing.region_nodes import AVOID_COLOR, TOUCH_COLOR
+from grasp_refine_apps.viewer.drawing.scan_nodes import MAYBE_COLOR, SEEN_COLOR
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.model.state import DisplayOptions, State
 from grasp_refine_apps.viewer.panels.form import Form
@@ -40,6 +41,7 @@ class DisplayPanel:
         # Scenes keep what is around the object, or have nothing there, as long as the viewer runs.
         alone = state.scene.table is None and state.scene.environment is None
         left_out = ("surroundings",) if alone else ()
+        left_out += ("scan",) if state.scene.object.scan is None else ()
         shown = [name for name in names if name not in left_out]
         self.form = Form(
             server.gui,
@@ -76,6 +78,8 @@ def _legend() -> str:
         (DEEP_COLOR, "the push in a simulation"),
         (TOUCH_COLOR, "on the object: where links may touch it"),
         (AVOID_COLOR, "on the object: where they may not"),
+        (SEEN_COLOR, "of a scan: points that were seen"),
+        (MAYBE_COLOR, "of a scan: edges of the other solids that the object may be"),
     ]
     swatch = "display:inline-block;width:0.9em;height:0.9em;border-radius:50%;margin-right:0.5em;vertical-align:middle"
     lines = "".join(f'<div><span style="{swatch};background:rgb{color}"></span>{text}</div>' for color, text in rows)
