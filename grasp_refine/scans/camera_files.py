@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,14 @@ PICTURES = (".png", ".tif", ".tiff")
 MILLIMETRES = 0.001
 """Metres in a step of a depth picture of integers, as the cameras of most makers write them."""
 
-MAX_PIXELS = 2**26
-"""Most pixels of a picture."""
+MAX_PIXELS = 2**24
+"""Most pixels of all pictures of a file together."""
+
+MAX_ARRAY_BYTES = 2**29
+"""Most bytes of an array file: 512 MiB."""
+
+MAX_NUMBERS = 16 * 64
+"""Most numbers that intrinsics and poses may have; aliases in YAML make small files large."""
 
 MAX_TEXT_BYTES = 2**16
 """Most bytes of a file of numbers."""
@@ -37,12 +44,15 @@ def read_array(path: Path) -> np.ndarray:
         MeshError: it is damaged, or too large.
     """
     try:
-        with path.open("rb") as file:
+        with path.open("rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about headers from Python 2
             head = file.read(MAX_HEADER_BYTES)
             shape, kind, start = array_header(head) if head.startswith(MAGIC) else ((), np.dtype("O"), 0)
             needed = int(np.prod(shape, dtype=object)) * kind.itemsize + start
             if kind.kind not in "biuf" or needed > path.stat().st_size:
                 raise ValueError("not an array of numbers, or cut off")
+            if needed > MAX_ARRAY_BYTES:
+                raise ValueError(f"{needed} bytes; at most {MAX_ARRAY_BYTES} are read")
             file.seek(0)
             return np.load(file, allow_pickle=False, mmap_mode=None)
     except (OSError, ValueError, EOFError) as error:
@@ -60,10 +70,15 @@ def read_picture(path: Path) -> np.ndarray:
     if path.suffix.lower() == ".npy":
         return read_array(path)
     try:
-        with Image.open(path, formats=("PNG", "TIFF", "JPEG", "BMP")) as picture:
-            if picture.width * picture.height > MAX_PIXELS:
-                raise MeshError(f"{path}: has {picture.width} x {picture.height} pixels; at most {MAX_PIXELS} are read")
-            values = np.asarray(picture)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about damage
+            picture = Image.open(path, formats=("PNG", "TIFF", "JPEG", "BMP"))
+            with picture:
+                if picture.width * picture.height > MAX_PIXELS:
+                    raise MeshError(
+                        f"{path}: has {picture.width} x {picture.height} pixels; at most {MAX_PIXELS} are read"
+                    )
+                values = np.asarray(picture)
     except (OSError, ValueError, SyntaxError, UnidentifiedImageError, Image.DecompressionBombError) as error:
         raise MeshError(f"{path}: cannot be read as a picture ({error})") from None
     return values if values.ndim == 2 else values[..., 0]
@@ -75,12 +90,15 @@ def depth_in_metres(values: np.ndarray, name: object) -> Float[np.ndarray, "*v H
     Raises:
         MeshError: they are of 8 bits, or no pictures.
     """
-    if values.ndim not in (2, 3) or values.dtype.kind not in "uif" or values.dtype.itemsize < 2:
+    if values.size > MAX_PIXELS:
+        raise MeshError(f"{name}: has {values.size} pixels; at most {MAX_PIXELS} are read: cut the object out")
+    if values.ndim not in (2, 3) or not values.size or values.dtype.kind not in "uif" or values.dtype.itemsize < 2:
         raise MeshError(
             f"{name}: is no depth picture: {values.dtype} of shape {values.shape}; 16-bit integers in millimetres or "
             "floats in metres are"
         )
-    return values.astype(np.float64) * (1.0 if values.dtype.kind == "f" else MILLIMETRES)
+    with np.errstate(invalid="ignore"):  # NaN of many kinds
+        return values.astype(np.float64) * (1.0 if values.dtype.kind == "f" else MILLIMETRES)
 
 
 def as_mask(value: Any, shape: tuple[int, ...], name: str) -> Bool[np.ndarray, "*v H W"]:
@@ -117,8 +135,8 @@ def as_intrinsics(value: Any) -> Float[np.ndarray, " 4"]:
     if isinstance(numbers, Mapping):
         numbers = _of_mapping(numbers)
     try:
-        found = np.asarray(numbers, dtype=np.float64).ravel()
-    except (TypeError, ValueError):
+        found = np.array(_flat(numbers), dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
         found = np.zeros(0)
     if found.size == 9:
         matrix = found.reshape(3, 3)
@@ -145,8 +163,8 @@ def as_poses(value: Any) -> Float[np.ndarray, "V 4 4"]:
         return read_pose(value, "`camera`")[None]
     numbers: Any = _numbers(_existing(value, "camera")) if isinstance(value, str | Path) else value
     try:
-        poses = np.asarray(numbers, dtype=np.float64).reshape(-1, 4, 4)
-    except (TypeError, ValueError):
+        poses = np.array(_flat(numbers), dtype=np.float64).reshape(-1, 4, 4)
+    except (TypeError, ValueError, OverflowError):
         poses = np.zeros((0, 4, 4))
     if not len(poses) or not is_rigid(poses).all():
         raise GraspRefineError(
@@ -177,6 +195,26 @@ def as_positions(value: Any) -> Float[np.ndarray, "V 3"]:
         shown = ", ".join(map(str, texts)) if isinstance(texts, tuple | list) else texts
         raise GraspRefineError(f"`seen_from`: the position of a sensor is x,y,z in metres, as in 0,0,0.5; got {shown}")
     return found
+
+
+def _flat(numbers: Any) -> list[Any]:
+    """Return the numbers in nested lists, or an array.
+
+    Raises:
+        ValueError: there are more than `MAX_NUMBERS`.
+    """
+    if hasattr(numbers, "shape") or hasattr(numbers, "__array__"):
+        numbers = np.asarray(numbers).ravel()[: MAX_NUMBERS + 1].tolist()
+    found, waiting = list[Any](), [numbers]
+    for _ in range(2 * MAX_NUMBERS):
+        if not waiting:
+            return found
+        one = waiting.pop()
+        if isinstance(one, list | tuple):
+            waiting += reversed(one[: MAX_NUMBERS + 1])
+        else:
+            found.append(one)
+    raise ValueError(f"more than {MAX_NUMBERS} numbers")
 
 
 def _existing(value: str | Path, what: str) -> Path:

@@ -7,6 +7,7 @@ import numpy as np
 from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.errors import MeshError
 from grasp_refine.core.plurals import count_text
+from grasp_refine.geometry.mesh import MAX_DIAGONAL
 from grasp_refine.scans.scan import Scan
 
 MIN_POINTS = 30
@@ -61,7 +62,7 @@ def scan_of_points(
             sensors are known.
     """
     notes = []
-    finite = np.isfinite(points).all(axis=1)
+    finite = (np.abs(points) < MAX_DIAGONAL).all(axis=1)
     if not finite.all():
         notes.append(f"{count_text(int((~finite).sum()), 'point')} of {len(points)} are not finite; dropped")
         points, normals, view = points[finite], _taken(normals, finite), _taken(view, finite)
@@ -90,9 +91,9 @@ def scan_of_points(
     if normals is None:
         normals = planes
     else:
+        normals = _plain(normals)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        known = np.isfinite(length) & (length > 0)
-        normals = np.where(known, normals / np.where(known, length, 1.0), planes)
+        normals = np.where(length > 1 / MAX_DIAGONAL, normals / np.maximum(length, 1 / MAX_DIAGONAL), planes)
     if len(origins):
         facing = ((origins[view] - points) * normals).sum(axis=1)
         normals = np.where((facing < 0)[:, None], -normals, normals)
@@ -113,7 +114,7 @@ def thinned(
     a, b, c = np.ptp(points, axis=0)
     cell = max(np.sqrt((a * b + b * c + c * a) / most) / 3, float(max(a, b, c)) * 2.0**-19) or 1.0
     weight = np.ones(len(points))
-    values = points if normals is None else np.concatenate([points, np.nan_to_num(normals)], axis=1)
+    values = points if normals is None else np.concatenate([points, _plain(normals)], axis=1)
     while len(points) > most:
         at = ((points - low) / cell).astype(np.int64)
         key = at[:, 0] | at[:, 1] << 20 | at[:, 2] << 40
@@ -145,6 +146,11 @@ def _scatter(points: Float[np.ndarray, "P 3"], count: int) -> Float[np.ndarray, 
     near = points[cKDTree(points).query(points, min(count, len(points)))[1]]
     off = near - near.mean(axis=1, keepdims=True)
     return off.mT @ off
+
+
+def _plain(normals: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
+    """Return normals with 0 in place of unknown ones."""
+    return np.where((np.abs(normals) < MAX_DIAGONAL).all(axis=1, keepdims=True), normals, 0.0)
 
 
 def _taken(values: np.ndarray | None, kept: Bool[np.ndarray, " P"]) -> np.ndarray | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -64,7 +65,8 @@ def cloud_of_columns(columns: Mapping[str, np.ndarray], count: int, name: object
         raise MeshError(f"{name}: its points have no {', '.join(missing)}, but {', '.join(columns) or 'nothing'}")
 
     def stacked(axes: Sequence[str]) -> np.ndarray:
-        return np.stack([columns[axis].astype(np.float64) for axis in axes], axis=-1)
+        with np.errstate(invalid="ignore"):  # NaN of many kinds
+            return np.stack([columns[axis].astype(np.float64) for axis in axes], axis=-1)
 
     normals = [axes for axes in NORMAL_AXES if all(axis in columns for axis in axes)]
     return Cloud(stacked(AXES), stacked(normals[0]) if normals else None, count=count, **more)
@@ -76,8 +78,8 @@ def text_columns(lines: object, count: int, columns: Sequence[int], name: object
     Raises:
         MeshError: a line has too few numbers, or others.
     """
-    import warnings
-
+    if not columns:
+        return np.zeros((count, 0))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of an empty file

@@ -14,6 +14,7 @@ import numpy as np
 from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.errors import MeshError
 from grasp_refine.core.se3 import inverse, transform, transform_points
+from grasp_refine.geometry.mesh import MAX_DIAGONAL
 from grasp_refine.geometry.z_buffer import rasterize
 from grasp_refine.scans.cleaning import scan_of_points
 from grasp_refine.scans.scan import Scan
@@ -183,7 +184,7 @@ def points_of_depth(
     pose: Float[np.ndarray, "4 4"],
 ) -> Float[np.ndarray, "P 3"]:
     """Return the points (P, 3) of the pixels within the mask that have a depth, in the frame of the pose, metres."""
-    seen = np.isfinite(depth) & (depth > 0)
+    seen = (depth > 0) & (depth < MAX_DIAGONAL)
     row, column = np.nonzero(seen if mask is None else seen & mask)
     z = depth[row, column]
     x, y = (column - intrinsics.cx) * z / intrinsics.fx, (row - intrinsics.cy) * z / intrinsics.fy
@@ -227,7 +228,9 @@ def seen_in_depth(
     ]
     distances = [(points - pose[:3, 3]) @ pose[:3, 2] for points, pose in zip(views, poses, strict=True)]
     points, distance = np.concatenate([np.zeros((0, 3)), *views]), np.concatenate([np.zeros(0), *distances])
-    noise = float(depth_noise(np.median(distance), intrinsics)) if len(points) else 0.0
+    # A picture that was made smaller has no more noise for that.
+    sharp = intrinsics if intrinsics.fx > D435.fx else D435
+    noise = float(depth_noise(np.median(distance), sharp)) if len(points) else 0.0
     return points, np.repeat(np.arange(len(views)), [len(part) for part in views]), noise
 
 

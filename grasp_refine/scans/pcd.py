@@ -18,6 +18,9 @@ MAX_HEADER_LINES, MAX_LINE_BYTES = 64, 4096
 MAX_UNPACKED_BYTES = 2**28
 """Most bytes of compressed points when unpacked: 256 MiB."""
 
+MAX_RUNS = 2**24
+"""Most runs that compressed points are cut into: ten seconds."""
+
 KINDS = {"F": "f", "I": "i", "U": "u"}
 """Type of a field -> NumPy's."""
 
@@ -96,9 +99,12 @@ def _check_complete(found: int, count: int, path: Path) -> None:
 
 def _unpacked(packed: bytes, size: int, path: Path) -> bytes:
     """Return bytes that LZF compressed: runs of at most 32 bytes as they are, or copies of earlier bytes."""
-    out, at = bytearray(), 0
+    out, at, runs = bytearray(), 0, 0
     try:
         while at < len(packed):
+            runs += 1
+            if runs > MAX_RUNS:
+                raise MeshError(f"{path}: its compressed points are cut into more than {MAX_RUNS} runs")
             control = packed[at]
             at += 1
             if control < 32:

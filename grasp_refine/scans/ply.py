@@ -29,21 +29,23 @@ ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 """Format -> NumPy's sign of the order of bytes."""
 
 
-def read_ply(path: Path) -> Cloud | None:
-    """Return the points of a PLY file; None: it has faces, or is none that a scanner writes, for readers of meshes.
+def is_cloud(path: Path) -> bool:
+    """Return whether a PLY file has points and no faces; others are for readers of meshes."""
+    with path.open("rb") as file:
+        return _points(file) is not None
+
+
+def read_ply(path: Path) -> Cloud:
+    """Return the points of a PLY file that `is_cloud`.
 
     Raises:
         MeshError: it is damaged, or has too many points.
     """
     with path.open("rb") as file:
-        order, elements = _header(file)
-        if order is None or not elements or elements[0][0] != "vertex":
-            return None
-        if any(name == "face" and count for name, count, _ in elements):
-            return None
-        _, count, properties = elements[0]
-        if any(kind is None for _, kind in properties):
-            return None
+        found = _points(file)
+        if found is None:
+            raise MeshError(f"{path}: has no points without faces")
+        order, count, properties = found
         check_point_count(count, path)
         names = [name for name, _ in properties]
         if len(set(names)) < len(names):
@@ -64,6 +66,18 @@ def read_ply(path: Path) -> Cloud | None:
         return cloud_of_columns({name: rows[name] for name in wanted}, count, path)
 
 
+def _points(file: BinaryIO) -> tuple[str, int, list[tuple[str, str]]] | None:
+    """Return the order of bytes, number and properties of the points after a header; None: there are faces, or none."""
+    order, elements = _header(file)
+    if order is None or not elements or elements[0][0] != "vertex":
+        return None
+    if any(name == "face" and count for name, count, _ in elements):
+        return None
+    _, count, properties = elements[0]
+    kinds = [(name, kind) for name, kind in properties if kind is not None]
+    return (order, count, kinds) if len(kinds) == len(properties) else None
+
+
 def _header(file: BinaryIO) -> tuple[str | None, list[tuple[str, int, list[tuple[str, str | None]]]]]:
     """Return the order of bytes, None for an unknown format, and elements with count and properties.
 
@@ -74,7 +88,10 @@ def _header(file: BinaryIO) -> tuple[str | None, list[tuple[str, int, list[tuple
     if file.readline(8).strip() != b"ply":
         return None, []
     while file.tell() < MAX_HEADER_BYTES:
-        words = file.readline(MAX_HEADER_BYTES).decode("ascii", errors="replace").split()
+        line = file.readline(MAX_HEADER_BYTES)
+        if not line:
+            break
+        words = line.decode("ascii", errors="replace").split()
         if words[:1] == ["end_header"]:
             return order, elements
         try:

@@ -19,6 +19,7 @@ from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
 from grasp_refine.core.names import is_file
 from grasp_refine.core.npz_files import load_npz
 from grasp_refine.core.se3 import transform_points
+from grasp_refine.geometry.mesh import MAX_DIAGONAL
 from grasp_refine.geometry.units import UNITS, Unit, check_size
 from grasp_refine.scans.camera_files import (
     PICTURES,
@@ -34,7 +35,7 @@ from grasp_refine.scans.cleaning import MAX_POINTS, scan_of_points
 from grasp_refine.scans.cloud import MAX_READ_POINTS, Cloud, check_point_count, every, text_columns
 from grasp_refine.scans.depth_camera import Intrinsics, seen_in_depth
 from grasp_refine.scans.pcd import read_pcd
-from grasp_refine.scans.ply import read_ply
+from grasp_refine.scans.ply import is_cloud, read_ply
 from grasp_refine.scans.scan import Scan
 
 if TYPE_CHECKING:
@@ -74,13 +75,9 @@ class Sensors:
 
 
 def is_scan(path: Path) -> bool:
-    """Return whether a file holds points without faces, or depth.
-
-    Raises:
-        MeshError: its points are damaged.
-    """
+    """Return whether a file holds points without faces, or depth."""
     suffix = path.suffix.lower()
-    return suffix in SCAN_SUFFIXES or (suffix == ".ply" and is_file(path) and read_ply(path) is not None)
+    return suffix in SCAN_SUFFIXES or (suffix == ".ply" and is_file(path) and is_cloud(path))
 
 
 def read_scan(
@@ -118,12 +115,10 @@ def read_scan(
         return _scan_of_pictures(values, sensors, scale, unit, str(path))
     if sensors.intrinsics is not None or sensors.mask is not None:
         raise GraspRefineError(f"{path}: holds points; intrinsics and a mask are for depth pictures")
-    read: Callable[[Path], Cloud | None] = {".ply": read_ply, ".pcd": read_pcd, ".xyz": _read_xyz}.get(
+    read: Callable[[Path], Cloud] = {".ply": read_ply, ".pcd": read_pcd, ".xyz": _read_xyz}.get(
         suffix, lambda path: _cloud_of_arrays(values, str(path))
     )
-    cloud = read(path)
-    assert cloud is not None
-    return scan_of_cloud(cloud, sensors, scale=scale, unit=unit, name=str(path))
+    return scan_of_cloud(read(path), sensors, scale=scale, unit=unit, name=str(path))
 
 
 def scan_of_cloud(
@@ -131,7 +126,8 @@ def scan_of_cloud(
 ) -> tuple[Scan, tuple[str, ...]]:
     """Return the scan of a cloud, and notes for the user; see `read_scan`."""
     factor = scale * UNITS[unit or "m"]
-    points, normals = cloud.points * factor, cloud.normals
+    with np.errstate(over="ignore", invalid="ignore"):
+        points, normals = cloud.points * factor, cloud.normals
     _check_size(points, UNITS[unit or "m"], unit, name)
     origins = np.zeros((0, 3)) if cloud.origins is None else np.asarray(cloud.origins, dtype=np.float64) * factor
     view = cloud.view
@@ -172,7 +168,8 @@ def _scan_of_pictures(
             f"{name}: integers are millimetres already: leave out `unit='{unit}'`; of other steps give `scale`, 0.25 "
             "where one is a quarter of a millimetre"
         )
-    depths = depths.reshape(-1, *depths.shape[-2:]) * scale * UNITS[unit or "m"]
+    with np.errstate(over="ignore", invalid="ignore"):
+        depths = depths.reshape(-1, *depths.shape[-2:]) * scale * UNITS[unit or "m"]
     if sensors.seen_from is not None:
         raise GraspRefineError(f"{name}: a depth picture needs the pose of its camera, `camera`, not `seen_from`")
     intrinsics, mask, camera = (
@@ -203,7 +200,7 @@ def _scan_of_pictures(
 
 def _check_size(points: Float[np.ndarray, "P 3"], factor: float, unit: Unit | None, name: str) -> None:
     """Refuse points whose unit is in doubt, see `check_size`; a few stray ones do not count."""
-    finite = points[np.isfinite(points).all(axis=1)]
+    finite = points[(np.abs(points) < MAX_DIAGONAL).all(axis=1)]
     if len(finite):
         low, high = np.percentile(finite[:: every(10 * len(finite))], [1, 99], axis=0)
         if (high > low).any():
@@ -266,7 +263,8 @@ def _read_xyz(path: Path) -> Cloud:
         values = text_columns(lines, MAX_READ_POINTS + 1, range(6 if words >= 6 else 3), path)
     check_point_count(len(values), path)
     points, normals = values[:, :3], values[:, 3:]
-    length = np.linalg.norm(normals, axis=1)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(normals, axis=1)
     low, high = UNIT_LENGTH
     unit = bool(len(values)) and words >= 6 and bool(((length > low) & (length < high)).mean() > 0.5)
     step = every(len(values)) if len(values) else 1
