@@ -19,7 +19,7 @@ from grasp_refine.geometry.sphere_points import on_sphere
 from grasp_refine.scans.hypothesis import Hypothesis
 from grasp_refine.scans.scan import Scan
 from grasp_refine.scans.space import Plane, Space
-from grasp_refine.scans.voxels import Grid, outermost, split
+from grasp_refine.scans.voxels import Grid, indicator, outermost, split
 
 MIN_POINTS = 20
 """Fewest points of a scan."""
@@ -66,7 +66,8 @@ PRIORS = {
     "inverted": 0.2,
     "half-turned": 0.1,
     "revolved": 0.2,
-    "extruded": 0.15,
+    "extruded": 0.1,
+    "smooth": 0.15,
     "inflated": 0.15,
     "shell": 0.15,
     "hull": 0.05,
@@ -84,6 +85,9 @@ ALONG = 0.9
 
 IMAGES = 5000
 """Images of seen points, about, of which the outermost are the corners of a hull."""
+
+SMOOTHED = 20_000
+"""Images, about, of which a smooth solid is made."""
 
 FEWEST_CELLS = 8
 """Fewest cells of a solid that is split."""
@@ -134,6 +138,8 @@ class _Candidate:
     symmetry: np.ndarray
     """Isometries (G, 4, 4)."""
     log_weight: float
+    smooth: bool = False
+    """Whether it closes smoothly where there are neither points nor images."""
     wall: np.ndarray | float = np.inf
     """Largest depth (x, y) of each column of the grid behind the seen surface, metres."""
 
@@ -225,7 +231,7 @@ class _Frame:
         kept = images[self.free_at(images) <= self.margin]
         points = np.concatenate([self.outer, outermost(kept)]) if len(kept) else self.outer
         log_weight = float(self.log_likelihood(symmetry[None])[0])
-        return _Candidate(kind, points, np.concatenate([np.eye(4)[None], symmetry]), log_weight)
+        return _Candidate(kind, points, np.concatenate([np.eye(4)[None], symmetry]), log_weight, kind != "revolved")
 
     def log_likelihood(self, symmetries: np.ndarray) -> np.ndarray:
         """Logarithm (N,) of the likelihoods of symmetries (N, G, 4, 4): images in free space, and on the surface."""
@@ -257,9 +263,20 @@ class _Frame:
         if len(candidate.symmetry) > 1:
             images = _apply(candidate.symmetry[1:], centers[kept])
             kept = kept[(self.free_at(images).max(axis=0) <= self.margin) | self.near[kept]]
+        if candidate.smooth:
+            kept = kept[self.closed(candidate.symmetry[1:])[kept]]
         solid = np.zeros(len(centers), dtype=bool)
         solid[kept] = True
         return solid, len(kept) / max(len(inside), 1)
+
+    def closed(self, symmetry: np.ndarray) -> np.ndarray:
+        """Mask (cells,) of the smooth solid of the points and their images (G, 4, 4) beside them."""
+        some = slice(None, None, len(self.points) * len(symmetry) // SMOOTHED + 1)
+        images = _apply(symmetry, self.points[some])
+        facing = self.normals[some] @ np.swapaxes(symmetry[:, :3, :3], 1, 2)
+        new = (self.free_at(images) <= self.margin) & ~self.near[self.grid.cells(images)]
+        points, normals = np.concatenate([self.points, images[new]]), np.concatenate([self.normals, facing[new]])
+        return indicator(self.grid, points, normals).ravel() > 0.0
 
     def pieces(self, candidate: _Candidate) -> list[Piece]:
         """Convex pieces of a candidate."""
@@ -453,7 +470,9 @@ def _extruded(frame: _Frame) -> Iterator[_Candidate]:
     for excess in frame.excess * _quantiles(KEPT):
         moved = np.column_stack([frame.outer[:, :2], np.full(len(frame.outer), back + excess)])
         log_weight = -EVIDENCE * float(frame.misfit(moved).mean())
-        yield _Candidate("extruded", np.concatenate([frame.outer, moved]), np.eye(4)[None], log_weight)
+        points = np.concatenate([frame.outer, moved])
+        for kind, smooth in (("extruded", False), ("smooth", True)):
+            yield _Candidate(kind, points, np.eye(4)[None], log_weight, smooth)
 
 
 def _inflated(frame: _Frame) -> Iterator[_Candidate]:
@@ -463,7 +482,7 @@ def _inflated(frame: _Frame) -> Iterator[_Candidate]:
         moved = frame.points + wall.ravel()[column][:, None] * [0.0, 0.0, 1.0]
         log_weight = -EVIDENCE * float(frame.misfit(moved[:: len(moved) // 200 + 1]).mean())
         points = np.concatenate([frame.outer, outermost(moved)])
-        yield _Candidate("inflated", points, np.eye(4)[None], log_weight, wall)
+        yield _Candidate("inflated", points, np.eye(4)[None], log_weight, smooth=True, wall=wall)
 
 
 def _shell(frame: _Frame) -> Iterator[_Candidate]:
@@ -472,11 +491,11 @@ def _shell(frame: _Frame) -> Iterator[_Candidate]:
     concave = min(float((free > frame.margin).mean()) / OPEN, 1.0)
     for share in WALLS:
         wall = max(share * float(frame.edge_distance.max()), frame.grid.size)
-        yield _Candidate("shell", frame.outer, np.eye(4)[None], float(np.log(max(concave, 1e-9))), wall)
+        yield _Candidate("shell", frame.outer, np.eye(4)[None], float(np.log(max(concave, 1e-9))), wall=wall)
 
 
 def _hull(frame: _Frame) -> Iterator[_Candidate]:
-    yield _Candidate("hull", frame.outer, np.eye(4)[None], 0.0)
+    yield _Candidate("hull", frame.outer, np.eye(4)[None], 0.0, smooth=True)
 
 
 def _quantiles(count: int) -> np.ndarray:

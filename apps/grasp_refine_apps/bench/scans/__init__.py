@@ -1,0 +1,1 @@
+"""Grasps refined on scans of an object, tried on the object itself."""
