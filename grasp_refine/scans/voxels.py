@@ -18,7 +18,7 @@ MAX_PIECES = 16
 HOLLOW = 0.05
 """Fraction of a solid by which the hulls of its pieces may be larger, without the steps of its surface."""
 
-STEPS = 0.25
+STEPS = 0.3
 """Mean height in cells of the hull of a convex solid above its steps."""
 
 CUTS = 5
