@@ -54,6 +54,7 @@ ORDER = (
     "grasp_refine_apps.bench.align",
     "grasp_refine_apps.bench.grasp",
     "grasp_refine_apps.bench.queries",
+    "grasp_refine_apps.bench.scans",
     "grasp_refine_apps.bench.stability",
     "grasp_refine_apps.bench.success",
     "grasp_refine_apps.bench.gate",

@@ -167,8 +167,7 @@ def _extruded(frame: ViewFrame) -> Iterator[Candidate]:
         moved = np.column_stack([frame.outer[:, :2], np.full(len(frame.outer), back + excess)])
         log_weight = -EVIDENCE * float(frame.misfit(moved).mean())
         points = np.concatenate([frame.outer, moved])
-        for kind, smooth in (("extruded", False), ("smooth", True)):
-            yield Candidate(kind, points, NO_SYMMETRY, log_weight, smooth)
+        yield Candidate("extruded", points, NO_SYMMETRY, log_weight, smooth=True)
 
 
 def _inflated(frame: ViewFrame) -> Iterator[Candidate]:

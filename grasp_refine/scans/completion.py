@@ -21,14 +21,13 @@ from grasp_refine.scans.view_frame import ViewFrame
 
 PRIORS = {
     "mirrored": 0.15,
-    "inverted": 0.2,
-    "half-turned": 0.1,
-    "revolved": 0.2,
+    "inverted": 0.1,
+    "half-turned": 0.05,
+    "revolved": 0.3,
     "extruded": 0.1,
-    "smooth": 0.15,
-    "inflated": 0.15,
-    "shell": 0.15,
-    "hull": 0.05,
+    "inflated": 0.1,
+    "shell": 0.05,
+    "hull": 0.15,
 }
 """Probability of each kind before the scan is looked at."""
 

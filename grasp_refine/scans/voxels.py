@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,9 @@ HOLLOW = 0.05
 
 STEPS = 0.3
 """Mean height in cells of the hull of a convex solid above its steps."""
+
+MOST_STEPS = 0.22
+"""Largest share of the steps in the volume of a hull: thin walls are more than their steps."""
 
 CUTS = 5
 """Places of a cut along each axis."""
@@ -46,7 +50,7 @@ class Grid:
         x, y, z = np.ceil((high - low) / size).astype(int).tolist()
         return cls(low, size, (x, y, z))
 
-    @property
+    @cached_property
     def centers(self) -> Float[np.ndarray, "n 3"]:
         """Centres of all cells, metres."""
         return self.low + (np.indices(self.shape).reshape(3, -1).T + 0.5) * self.size
@@ -97,20 +101,22 @@ def indicator(
 def split(grid: Grid, solid: Bool[np.ndarray, "x y z"], surface: Float[np.ndarray, "n 3"]) -> list[Piece]:
     """Return convex pieces that cover a solid of cells, and the points (n, 3) on its surface.
 
-    Cuts run along the planes of the grid, through the part whose hull is most hollow, until all hulls together are
+    Cuts run along planes of the grid, through the part whose hull is most hollow, until all hulls together are
     larger than the solid by at most `HOLLOW`.
     """
     from scipy.spatial import cKDTree
 
-    parts = [(solid, *_hollow(solid))]
-    while len(parts) < MAX_PIECES and sum(hollow for _, _, hollow in parts) > HOLLOW * solid.sum():
+    coarse = _blocks(solid)
+    parts = [(coarse, *_hollow(coarse))]
+    while len(parts) < MAX_PIECES and sum(hollow for _, _, hollow in parts) > HOLLOW * coarse.sum():
         parts += _best_cut(parts.pop(max(range(len(parts)), key=lambda index: parts[index][2])))
     centers = grid.centers
     filled = np.flatnonzero(solid)
     distance, nearest = cKDTree(centers[filled]).query(surface)
     surface, nearest = surface[distance < grid.size], filled[nearest[distance < grid.size]]
     pieces = []
-    for part, _, _ in parts:
+    for blocks, _, _ in parts:
+        part = solid & blocks.repeat(2, 0).repeat(2, 1).repeat(2, 2)[tuple(map(slice, solid.shape))]
         touching = (_grown(part) & solid).ravel()
         points = np.concatenate([centers[touching], surface[part.ravel()[nearest]]])
         try:
@@ -119,6 +125,13 @@ def split(grid: Grid, solid: Bool[np.ndarray, "x y z"], surface: Float[np.ndarra
             corners = points[:, None] + 0.5 * grid.size * SUPPORTS[::20]
             pieces.append(hull(outermost(corners.reshape(-1, 3))))
     return pieces
+
+
+def _blocks(solid: np.ndarray) -> np.ndarray:
+    """Blocks of 2 x 2 x 2 cells with a cell of a solid: cuts run between them."""
+    even = np.pad(solid, [(0, n % 2) for n in solid.shape])
+    x, y, z = np.array(even.shape) // 2
+    return np.asarray(even.reshape(x, 2, y, 2, z, 2).any(axis=(1, 3, 5)))
 
 
 def _best_cut(part: _Part) -> list[_Part]:
@@ -151,7 +164,9 @@ def _hollow(part: np.ndarray) -> tuple[float, float]:
     rows = corners[columns[:, 0], columns[:, 1]]
     low, high = rows.argmax(axis=1), corners.shape[2] - 1 - rows[:, ::-1].argmax(axis=1)
     whole = ConvexHull(np.concatenate([np.column_stack([columns, low]), np.column_stack([columns, high])]))
-    return float(whole.volume), max(float(whole.volume - part.sum() - STEPS * whole.area), 0.0)
+    return float(whole.volume), max(
+        float(whole.volume - part.sum() - min(STEPS * whole.area, MOST_STEPS * whole.volume)), 0.0
+    )
 
 
 def _grown(part: np.ndarray) -> np.ndarray:
