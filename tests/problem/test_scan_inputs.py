@@ -71,6 +71,19 @@ def test_a_scan_that_was_moved_is_read_with_the_recorded_sensors(result: Path, t
     np.testing.assert_array_equal(same.groups[0].scene.object.mesh.vertices, known.groups[0].scene.object.mesh.vertices)
 
 
+def test_a_cloud_in_millimetres_is_found_again(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    box = trimesh.creation.box(SIZE_M)
+    seen = box.sample(4000, seed=0)
+    seen = seen[(seen >= np.array(SIZE_M) / 2 - 1e-6).any(axis=1)]
+    np.savetxt("scan.xyz", 1e3 * seen)
+    words = ["run", "--hand", "allegro", "--object", "scan.xyz", "--unit", "mm", "--seen-from", "0.4,0.4,0.5"]
+    assert main([*words, "--hypotheses", "2", "--grasps", "sample:1", "--geometry-only", "--out", "out"]) == 0
+    (group,) = load_problem(ProblemSpec(grasps=Path("out/allegro_scan.npz"))).groups
+    np.testing.assert_allclose(group.scene.object.scan.points.max(axis=0), np.array(SIZE_M) / 2, atol=1e-4)
+    np.testing.assert_array_equal(group.scene.object.scan.origins, [[0.4, 0.4, 0.5]])
+
+
 def test_another_scan_is_another_object(result: Path):
     with refusals.refused(GraspFileError, "depth", "`other_object`"):
         load_problem(ProblemSpec(grasps=result, camera="0,0,0.5,180,0,0"))

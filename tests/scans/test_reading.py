@@ -12,6 +12,7 @@ from grasp_refine.core.se3 import exp_se3, inverse
 from grasp_refine.scans import cloud
 from grasp_refine.scans.camera_files import as_intrinsics, as_poses, as_positions
 from grasp_refine.scans.depth_camera import Intrinsics, depth_of, views_around
+from grasp_refine.scans.pcd import read_pcd
 from grasp_refine.scans.reading import Sensors, is_scan, read_scan, scan_of_mesh
 from refusals import refused
 from scan_files import FILES, RADIUS_M, dome, npz, pcd, ply, text
@@ -39,6 +40,13 @@ def test_points_and_normals_are_those_of_the_file(name, normals, tmp_path):
     else:
         with refused(MeshError, name, "sensor"):
             read_scan(path, Sensors())
+
+
+def test_compressed_points_that_repeat_are_unpacked(tmp_path):
+    points = np.repeat(dome(100), 8, axis=0) + np.tile([0, 0, 2**-10], (800, 1))
+    points = points.astype(np.float32).astype(float)
+    (tmp_path / "packed.pcd").write_bytes(pcd(points, "binary_compressed"))
+    np.testing.assert_array_equal(read_pcd(tmp_path / "packed.pcd").points, points)
 
 
 def test_clouds_of_trimesh_are_read(tmp_path):
@@ -71,6 +79,10 @@ def test_a_camera_takes_its_points_to_the_object(tmp_path):
     np.testing.assert_allclose(scan.points, points, atol=1e-6)
     np.testing.assert_allclose(scan.origins, pose[None, :3, 3])
     np.testing.assert_allclose(inverse(pose)[:3, :3] @ pose[:3, :3], np.eye(3), atol=1e-12)
+    np.savez(tmp_path / "turned.npz", points=seen, normals=points @ pose[:3, :3])
+    turned, _ = read_scan(tmp_path / "turned.npz", Sensors(camera=pose))
+    facing = ((pose[:3, 3] - points) * points).sum(axis=1) > 0
+    np.testing.assert_allclose(turned.normals[facing], points[facing] / RADIUS_M, atol=1e-6)
     with refused(GraspRefineError, "camera", "seen_from"):
         read_scan(path, Sensors(camera=pose, seen_from=(0, 0, 1)))
 
