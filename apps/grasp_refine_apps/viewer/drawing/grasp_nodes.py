@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection
 from typing import Any
 
@@ -72,6 +73,9 @@ CONE_COLOR = (110, 150, 225)
 FORCE_THICKNESS = 0.4
 """Thickness of the arrows of forces, as a share of that of a push."""
 
+REST_S, SHADOW_PERIOD_S = 0.25, 0.1
+"""Seconds without a movement from which on colours of depths and gaps are drawn, and between two shadows."""
+
 LEAST_FORCE_N = 0.05
 """Least force in newtons that has a text."""
 
@@ -137,6 +141,11 @@ class GraspNodes:
         self.depths = ColoredPatches(scene, f"{GRASP_NODE}/depth")
         self.gaps = ColoredPatches(scene, f"{GRASP_NODE}/gaps")
         self._depths_of: Contacts | None = None
+        self._seen: tuple[Contacts | None, float] = None, -np.inf
+        """Contacts that were drawn last, and when they came."""
+        self.rests = True
+        """Whether all is drawn; False: `draw` should be called again after `REST_S`."""
+        self._moves, self._shadow_at = False, -np.inf
         self._gaps_of: Contacts | None = None
         self._gap_field: GapField | None = None
         self._depth_fields: dict[Body, DepthField] = {}
@@ -163,7 +172,7 @@ class GraspNodes:
 
     def draw(self, state: State) -> None:
         """Update all nodes to a state."""
-        shown = state.shown
+        self.rests, shown = True, state.shown
         place(self.root, state.T_world_object)
         self.hand.move(shown)
         self.hand.show(shown.posed)
@@ -259,8 +268,20 @@ class GraspNodes:
         refining = state.job is not None and state.job.kind == "refine"
         self._draw_patches(found if on and not refining else None)
         self._draw_forces(found.forces if self._display.forces and not refining else None, state.pressure_n)
-        self._draw_depths(found if self._display.overlap and not refining else None)
-        self._draw_gaps(found if self._display.gaps and not refining else None)
+        still = not refining and self._rests(found)
+        self._draw_depths(found if self._display.overlap and still else None)
+        self._draw_gaps(found if self._display.gaps and still else None)
+
+    def _rests(self, found: Contacts) -> bool:
+        """Return whether the hand rests: it did not move twice within `REST_S`."""
+        now = time.monotonic()
+        if found is not self._seen[0]:
+            self._moves = now - self._seen[1] <= REST_S
+            self._seen = found, now
+        elif now - self._seen[1] > REST_S:
+            self._moves = False
+        self.rests &= not self._moves
+        return not self._moves
 
     def _draw_patches(self, found: Contacts | None) -> None:
         """Draw the areas where flat faces of links and object meet, coloured by the gap; None: nothing."""
@@ -273,7 +294,7 @@ class GraspNodes:
         self.outlines.draw(np.concatenate([np.zeros((0, 2, 3)), *edges]), np.concatenate([NO_POINTS, *colors]))
 
     def _draw_depths(self, found: Contacts | None) -> None:
-        """Draw where links and object overlap, coloured by depth; None: nothing."""
+        """Draw where links and object overlap, coloured by depth; None, and while the hand moves: nothing."""
         if found is self._depths_of:
             return
         self._depths_of, patches = found, []
@@ -333,7 +354,11 @@ class GraspNodes:
         seen = shown.T_object_root.tobytes(), shown.q.tobytes(), T.tobytes(), state.T_shown_object.tobytes()
         if not (shown.posed and self._display.ground) or seen == self._shadow_of:
             return
-        self._shadow_of = seen
+        now = time.monotonic()
+        if now - self._shadow_at < SHADOW_PERIOD_S and self._ground is not None:
+            self.rests = False
+            return
+        self._shadow_of, self._shadow_at = seen, now
         obj = transform_points(state.T_shown_object, surface_points(self.prepared.object.body))
         hand = hand_points(self.prepared, self.prepared.chain(shown.T_object_root[None], shown.q[None]).T_world_link[0])
         points = transform_points(T, np.concatenate([hand, obj]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from threading import Timer
 from typing import Any
 
 import numpy as np
@@ -21,7 +23,7 @@ from grasp_refine_apps.viewer.drawing.camera import (
     scene_points,
     slanted,
 )
-from grasp_refine_apps.viewer.drawing.grasp_nodes import GraspNodes
+from grasp_refine_apps.viewer.drawing.grasp_nodes import REST_S, GraspNodes
 from grasp_refine_apps.viewer.drawing.ground import light
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.meters.comparison import compared_pose
@@ -57,6 +59,9 @@ class View:
         self._moved: set[int] = set()
         """Numbers of the pages whose users moved the camera."""
         self._motion: Recording | None = None
+        self._later = Timer(0.0, lambda: None)
+        self.redraw: Callable[[], None] = lambda: None
+        """Draws the present state again, from any thread; set by whoever draws."""
         light(server.scene)
 
     @property
@@ -93,6 +98,15 @@ class View:
                 if state.motion is not None and state.motion.travels:
                     self._place_cameras(state, nodes, moved=True)
             nodes.draw(state)
+        if not nodes.rests:
+            self._later.cancel()
+            self._later = Timer(1.1 * REST_S, self.redraw)
+            self._later.daemon = True
+            self._later.start()
+
+    def close(self) -> None:
+        """Draw no more."""
+        self._later.cancel()
 
     def _choose_camera(self, state: State, nodes: GraspNodes) -> None:
         """Place the cameras so that hand and object are fully in view, palm and contacts seen."""

@@ -28,6 +28,7 @@ from grasp_refine_apps.viewer.panels.habits import Habits
 from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel
 from grasp_refine_apps.viewer.panels.validate_panel import ValidatePanel
 from grasp_refine_apps.viewer.server.page import SLOW_PERIOD_S, Drawer, Page, close_server
+from grasp_refine_apps.viewer.server.viser_private import icons_opened
 
 BACKGROUND_DELAY_S = 4.0
 """Seconds until background work starts: browsers load the page first, with the same processor."""
@@ -61,7 +62,7 @@ class Viewer:
         self.view.draw(controller.state)
         self._last_notice = 0
         # No browser should show buttons that cannot be used yet.
-        with server.atomic():
+        with server.atomic(), icons_opened():
             self._heading = server.gui.add_html("")
             self.banner = Banner(server.gui)
             tabs = server.gui.add_tab_group()
@@ -103,6 +104,7 @@ class Viewer:
         )
         for drawer in self._drawers:
             controller.listen(drawer.draw)
+        self.view.redraw = lambda: self._drawers[0].draw(controller.state)
         panels[ExportPanel].settle = self._drawers[0].settle
         panels[DisplayPanel].look, panels[DisplayPanel].cut = self.view.look, self.view.cut
         server.on_client_connect(lambda client: self._drawers[0].draw(controller.state))
@@ -159,6 +161,7 @@ class Viewer:
     def close(self) -> None:
         """Stop the running job, and the server."""
         self._measuring.cancel()
+        self.view.close()
         for panel in self.panels:
             if hasattr(panel, "close"):
                 panel.close()

@@ -11,16 +11,18 @@ from __future__ import annotations
 import asyncio
 import gzip
 import json
+import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import lru_cache
 from http import HTTPStatus
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import viser
 import websockets.asyncio.server
-from viser import _messages
+from viser import _icons, _messages
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
@@ -154,6 +156,19 @@ def _refusal(text: str) -> Response:
     body = f"{text}\n".encode()
     headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
     return Response(HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
+
+
+@contextmanager
+def icons_opened() -> Iterator[None]:
+    """Open viser's file of icons once in this context: viser reads the names of all 5000 icons for each button."""
+    module: Any = _icons
+    before = module.zipfile
+    with zipfile.ZipFile(module.ICONS_DIR / "tabler-icons.zip") as opened:
+        module.zipfile = SimpleNamespace(ZipFile=lambda path: nullcontext(opened))
+        try:
+            yield
+        finally:
+            module.zipfile = before
 
 
 def forbid_sharing(server: viser.ViserServer) -> None:
