@@ -40,6 +40,7 @@ COMMANDS = {
     "bench align": "run time against error of witness derivatives: the experiments of the paper",
     "bench grasp": "accuracy and speed of refinement, by solver and batch size",
     "bench queries": "cost of a witness query against coal and MuJoCo, and savings by skipping",
+    "bench scans": "grasps refined on scans, on hulls, reconstructions and hypotheses, tried on the true object",
     "bench stability": "error counts of witness queries and derivatives, by body, size, state and method",
     "bench success": "grasps that hold in simulation, as given and refined; by hand, object, source and protocol",
     "bench --gate": "check for regressions: ratios of one run against a committed baseline",

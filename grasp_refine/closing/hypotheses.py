@@ -11,9 +11,11 @@ from grasp_refine.closing.pregrasp import open_hand
 from grasp_refine.closing.stopped import close_until_stopped
 from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.forces.squeeze import CONTACTS, squeeze
+from grasp_refine.geometry.sphere_points import on_sphere
 from grasp_refine.hands.displacement import Displacement
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.frozen import Frozen
 from grasp_refine.refinement.gap_closing import RELEASE_GAP_M
 from grasp_refine.refinement.judging import judge
 from grasp_refine.scene.hand_object import HandObject
@@ -22,9 +24,13 @@ from grasp_refine.scene.scene import Scene
 REACH = 2.0
 """Length of the path on which fingers close, from the open hand, over the part up to the grasp."""
 
-IN_THE_WAY_M = (0.001, 0.005)
+POSE_ERROR_M = 0.007
+"""Distance in metres by which a solid is displaced to either side: of a pose that is off, or an object that moves when
+a finger touches it before the others."""
+
+IN_THE_WAY_M = (0.004, 0.02)
 """Depth in metres of a link in a solid where closing ends, up to which a grasp keeps its quality, and from which on it
-has none: the hand cannot be there, and would push the object away."""
+has none: the hand pushes the object away by as much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +44,7 @@ class Ends:
     q: Float[np.ndarray, "N K n"]
     """Joint values (N, K, n) at which each solid stops the fingers."""
     value: Float[np.ndarray, "N K"]
-    """Quality (N, K) there: the probability that the hand holds the object if it is this solid."""
+    """Probability (N, K) that the hand holds the object if it is this solid: mean quality over small displacements."""
     touching: Bool[np.ndarray, "N K L"]
     """Links (N, K, L) that touch there."""
     point: Float[np.ndarray, "N K L 3"]
@@ -64,20 +70,28 @@ class Ends:
         T = np.where(posed[:, None, None], scene.T_world_root, np.eye(4))
         q_open = np.where(posed[:, None], q_open, 0.0)
         q = np.where(posed[:, None], scene.q, 0.0)
-        q_end = np.where(hand.arm_joints, q, np.clip(q_open + REACH * (q - q_open), hand.lower, hand.upper))
-        q_open = np.where(hand.arm_joints, q, q_open)
+        fixed = hand.arm_joints | Frozen.of(hand, config.freeze).joints
+        q_open = np.where(fixed, q, q_open)
+        q_end = np.where(fixed, q, np.clip(q_open + REACH * (q - q_open), hand.lower, hand.upper))
+        shifts = POSE_ERROR_M * on_sphere(2 * len(solids)).reshape(-1, 2, 3)[:, 0]
         found = []
-        for prepared in solids:
+        for prepared, shift in zip(solids, shifts, strict=True):
             chain, links = prepared.chain, prepared.chain.links
-            closed = close_until_stopped(prepared, T, q_open, q_end)
-            frames = chain(T, closed)
+            # At the pose that is meant, and with the solid displaced to either side.
+            T_each = np.concatenate([T, T, T])
+            T_each[len(T) :, :3, 3] += np.repeat([shift, -shift], len(T), axis=0)
+            from_open, to_end = np.tile(q_open, (3, 1)), np.tile(q_end, (3, 1))
+            closed = from_open + close_until_stopped(prepared, T_each, from_open, to_end) * (to_end - from_open)
+            frames = chain(T_each, closed)
             value = judge(prepared, frames, clearances(config, hand, chain), scene.demand)[2]
             cutoff = CONTACTS.cutoff(hand, links)
-            witness = prepared.query(np.zeros(len(T), dtype=np.int64), frames.T_world_link, cutoff=cutoff)
-            near = CONTACTS.choose(hand, links, witness) & (witness.distance <= RELEASE_GAP_M)
+            witness = prepared.query(np.zeros(len(T_each), dtype=np.int64), frames.T_world_link, cutoff=cutoff)
             depth = np.where(witness.valid, -witness.distance, 0.0).max(axis=1, initial=0.0)
-            room = np.interp(depth, IN_THE_WAY_M, (1.0, 0.0))
-            found.append((closed, np.where(posed, value * room, 0.0), near, witness.point_b, witness.normal))
+            value *= np.interp(depth, IN_THE_WAY_M, (1.0, 0.0))
+            near = CONTACTS.choose(hand, links, witness) & (witness.distance <= RELEASE_GAP_M)
+            mean = np.where(posed, value.reshape(3, -1).mean(axis=0), 0.0)
+            at, witness = slice(len(T)), witness.rows(slice(len(T)))
+            found.append((closed[at], mean, near[at], witness.point_b, witness.normal))
         return Ends(T_open, q_open, *(np.stack(parts, axis=1) for parts in zip(*found, strict=True)))
 
     def motion(self, scene: Scene, solids: tuple[HandObject, ...], *, pressure: float | None = None) -> Motion:

@@ -20,11 +20,11 @@ def close_until_stopped(
     q_open: Float[np.ndarray, "N n"],
     q_end: Float[np.ndarray, "N n"],
 ) -> Float[np.ndarray, "N n"]:
-    """Return the joint values (N, n) at which the object stops the fingers.
+    """Return the shares (N, n) of their paths at which the object stops the joints.
 
     All joints move from `q_open` to `q_end`, each by an even share of its path, while the base link stays. A joint
-    stops when a link that it moves touches the object; joints of links beyond go on. A joint that nothing stops ends at
-    `q_end`.
+    stops when a link that it moves touches the object; joints of links beyond go on. The share is 1 where nothing
+    stops a joint, and 0 where it has no path.
 
     Args:
         prepared: Hand and object.
@@ -49,4 +49,4 @@ def close_until_stopped(
         share[rows] = np.where(touches, share[rows], tried)
         by = np.where(touches, 0.5 * step[rows], step[rows])
         step[rows] = np.where((~touches & (tried >= 1.0)) | (by < 0.5**NUM_HALVINGS / NUM_STEPS), 0.0, by)
-    return q_open + share * path
+    return share

@@ -10,12 +10,13 @@ from zlib import crc32
 
 import numpy as np
 
+from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.rpy_poses import read_pose
 from grasp_refine.core.se3 import exp_so3, pose_from_transform, transform
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.files.source import hand_files
-from grasp_refine.hands.hand import load_hand
+from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.mount import mount
 from grasp_refine.problem.facade import problem_of
 from grasp_refine.problem.input_cache import InputCache
@@ -288,13 +289,21 @@ def placed(problem: Problem, groups: list[Group]) -> Problem:
 
 
 def perturbed(group: Group, seed: int) -> Group:
-    """Return grasps moved by `SHIFT_M` and turned by `TURN_RAD` about the middle of the fingers, at random."""
+    """Return grasps moved by `moved_at_random`."""
     scene = group.scene
-    rng = np.random.default_rng([seed, crc32(scene.object.name.encode())])
-    T, center = scene.T_world_root.copy(), closure_frame(scene.hand).center
+    T = moved_at_random(scene.hand, scene.T_world_root, [seed, crc32(scene.object.name.encode())])
+    grasps = replace(group.grasps, hand_pose=pose_from_transform(T), pregrasp=None, squeeze=None)
+    return replace(group, scene=replace(scene, T_world_root=T), grasps=grasps)
+
+
+def moved_at_random(
+    hand: Hand, T_world_root: Float[np.ndarray, "N 4 4"], seed: list[int]
+) -> Float[np.ndarray, "N 4 4"]:
+    """Return poses (N, 4, 4) moved by `SHIFT_M` and turned by `TURN_RAD` about the middle of the fingers, at random."""
+    rng = np.random.default_rng(seed)
+    T, center = T_world_root.copy(), closure_frame(hand).center
     for row in range(len(T)):
         direction, axis = (vector / np.linalg.norm(vector) for vector in rng.normal(size=(2, 3)))
         middle, R = T[row, :3, :3] @ center + T[row, :3, 3], exp_so3(TURN_RAD * axis)
         T[row] = transform(R @ T[row, :3, :3], middle + R @ (T[row, :3, 3] - middle) + SHIFT_M * direction)
-    grasps = replace(group.grasps, hand_pose=pose_from_transform(T), pregrasp=None, squeeze=None)
-    return replace(group, scene=replace(scene, T_world_root=T), grasps=grasps)
+    return T
