@@ -40,8 +40,8 @@ class DisplayPanel:
         names = tuple(field.name for field in fields(DisplayOptions))
         # Scenes keep what is around the object, or have nothing there, as long as the viewer runs.
         alone = state.scene.table is None and state.scene.environment is None
-        left_out = ("surroundings",) if alone else ()
-        left_out += ("scan",) if state.scene.object.scan is None else ()
+        absent = {"surroundings": alone, "scan": state.scene.object.scan is None}
+        left_out = tuple(name for name, missing in absent.items() if missing)
         shown = [name for name in names if name not in left_out]
         self.form = Form(
             server.gui,
