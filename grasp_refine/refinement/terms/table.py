@@ -41,7 +41,9 @@ class Table(Term):
         plane, T = self.setup.scene.table, state.T_link
         assert plane is not None  # the term applies
         array = T if isinstance(T, np.ndarray) else T.detach().double().cpu().numpy()
-        points = transform_points(T, state.like(plane.lowest(self.setup.prepared.pairs.a, array)))
+        # Each link is there once for each object.
+        links = self.setup.prepared.pairs.a[: array.shape[1]]
+        points = transform_points(T, state.like(plane.lowest(links, array)))
         return points, state.like(np.asarray(plane.normal)), plane.offset
 
 
