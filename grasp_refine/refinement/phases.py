@@ -13,7 +13,7 @@ class Phase:
     """Phase of an attempt, with its own contact links and weights."""
 
     name: str
-    """Name for people, such as "contacts slide"."""
+    """Name for people, such as "moving the contacts"."""
     iterations: int
     """Largest number of iterations."""
     farther: tuple[float, float] = (0.0, 0.0)
@@ -44,9 +44,9 @@ class Phase:
         )
 
 
-SLIDE = Phase("contacts slide", 25, farther=(0.01, 0.005), soft=0.01)
-SETTLE = Phase("contacts settle", 15)
-CLOSE = Phase("gaps close", 40, balance=False, patience=12)
+SLIDE = Phase("moving the contacts", 25, farther=(0.01, 0.005), soft=0.01)
+SETTLE = Phase("settling the contacts", 15)
+CLOSE = Phase("closing the gaps", 40, balance=False, patience=12)
 KEEP = replace(CLOSE, farther=(-0.005, -0.001))
 """Gaps of an input grasp that is good enough close: links that are farther away are no part of it."""
 PHASES = (SLIDE, SETTLE, CLOSE)

@@ -181,6 +181,7 @@ def test_a_link_opens_grasp_and_tab_and_all_pages_see_the_same(
 
 def test_keys_step_and_mark_and_typing_is_no_command(viewer: Viewer, page: ViserPage) -> None:
     made = viewer.controller
+    page.folder("More settings")
     box = page.row("Iterations").locator("input")
     assert box.get_attribute("placeholder"), "the default of an empty field is not shown"
     box.focus()
@@ -188,6 +189,7 @@ def test_keys_step_and_mark_and_typing_is_no_command(viewer: Viewer, page: Viser
     page.page.keyboard.press("ArrowRight")
     box.fill("")
     box.blur()
+    page.folder("More settings")
     assert made.state.number == 0 and made.state.collection.mark(0) == ""
     for key, number, mark in (
         ("ArrowRight", 1, ""), ("g", 1, "good"), ("b", 1, "bad"), ("b", 1, ""), ("ArrowLeft", 0, ""),
@@ -260,7 +262,7 @@ def test_a_brush_over_a_histogram_filters_the_list_and_a_click_lists_all(viewer:
 
 def test_hints_stand_beside_the_panel(page: ViserPage) -> None:
     panel = page.page.locator("[role=tablist]").bounding_box()
-    page.row("Margin, mm").locator("input").hover()
+    page.row("Freeze").locator("input").hover()
     hint = page.page.locator(".mantine-Tooltip-tooltip")
     hint.wait_for(state="visible")
     until(lambda: (box := hint.bounding_box()) and box["x"] + box["width"] <= panel["x"] + 1, "a hint aside")

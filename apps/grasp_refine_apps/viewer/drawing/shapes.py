@@ -35,7 +35,7 @@ PIECE_COLORS = (
 )
 """Colours of the convex pieces of the object; neighbours differ."""
 
-URDF_COLOR_SHARE = 0.5
+URDF_COLOR_SHARE = 0.3
 """Share of the colour that the URDF gives a link; the rest is `LINK_COLOR`, so that black links show on black."""
 
 CREASE_ANGLE_DEG = 35.0

@@ -13,6 +13,7 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.plane import Plane
 from grasp_refine_apps.viewer.drawing.camera import (
     FIELD_OF_VIEW_RAD,
     UP,
@@ -38,8 +39,8 @@ ASPECT_RATIO = 1.1
 """Width of the scene over its height, beside the panel on a common screen."""
 
 
-Drawn = tuple[Hand, Object, DisplayOptions, Environment | None]
-"""Hand, object, display options and surroundings for which nodes are made."""
+Drawn = tuple[Hand, Object, DisplayOptions, Environment | None, Plane | None]
+"""Hand, object, display options, surroundings and table for which nodes are made."""
 
 
 class View:
@@ -72,7 +73,7 @@ class View:
     def draw(self, state: State) -> None:
         """Update the scene to a state; cameras follow hand and object, except those that users moved."""
         scene, nodes = state.scene, self.nodes
-        made = scene.hand, scene.object, state.display, scene.environment
+        made = scene.hand, scene.object, state.display, scene.environment, scene.table
         grasp = state.collection.row, state.number
         with self.server.atomic():
             if nodes is None or self._made != made:

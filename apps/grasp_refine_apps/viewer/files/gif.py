@@ -59,6 +59,7 @@ def recorded_gif(
     factor = min(1.0, MAX_SIDE_PX / max(size))
     height, width = (max(round(factor * side), 2) for side in size)
     pictures = []
+    controller.set(gizmo="none")
     try:
         for done, frame in enumerate(frames):
             control.report(done / len(frames), "recording a GIF")
@@ -74,6 +75,7 @@ def recorded_gif(
             controller.player.show_frame(state.motion_frame)
         else:
             controller.player.scrub(state.frame)
+        controller.set(gizmo=state.gizmo)
     return gif(pictures)
 
 

@@ -18,6 +18,7 @@ from grasp_refine.objects.region import ContactRegions
 from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.model.columns import (
@@ -67,6 +68,8 @@ class Collection:
     """Names of the objects whose meshes are not known: their grasps are shown on another object."""
     trials: Mapping[int, TrialResult] = field(default_factory=dict)
     """Simulation results of the grasps as in their file, by number, where known."""
+    asked: tuple[Protocol | None, ...] | None = None
+    """Protocols of the groups' tasks as they were opened, once another one is chosen; None: they are as opened."""
 
     @staticmethod
     def of(problem: Problem, stand_ins: frozenset[str] = frozenset()) -> Collection:
@@ -184,6 +187,16 @@ class Collection:
         groups = (*problem.groups[:at], replace(group, scene=scene), *problem.groups[at + 1 :])
         return replace(self, problem=replace(problem, groups=groups))
 
+    def with_protocol(self, protocol: Protocol | None) -> Collection:
+        """Return the collection with tasks of another protocol; None: of those as opened."""
+        problem = self.problem
+        opened = self.asked or tuple(_protocol(group) for group in problem.groups)
+        groups = tuple(
+            replace(group, scene=replace(group.scene, task=replace(group.scene.task, protocol=protocol or own)))
+            for group, own in zip(problem.groups, opened, strict=True)
+        )
+        return replace(self, problem=replace(problem, groups=groups), asked=None if protocol is None else opened)
+
     @property
     def title(self) -> str:
         """Hand, objects and source for users, in one line."""
@@ -289,3 +302,9 @@ class Collection:
 def posed_in(problem: Problem) -> Bool[np.ndarray, " N"]:
     """Return a mask (N,) of the grasps of a problem that can be drawn, in the requested order."""
     return np.concatenate([group.scene.posed for group in problem.groups])[problem.order]
+
+
+def _protocol(group: Group) -> Protocol | None:
+    """Protocol of the task of a group; None: the default one."""
+    protocol = group.scene.task.protocol
+    return protocol if isinstance(protocol, Protocol) else None

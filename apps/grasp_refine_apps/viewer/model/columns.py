@@ -111,7 +111,7 @@ HELD = Column("held", "Simulation", "whether the grasp held in MuJoCo", np.zeros
 """The column of verdicts of the simulation."""
 REASON = Column("reason", "Reason", "why it did not hold", np.zeros(0, dtype=str))
 """The column of why grasps failed."""
-HERE = Column("here", "Here", "work since it was opened: R refined, E edited, T tested", np.zeros(0, dtype=str))
+HERE = Column("here", "Done", "work on it since it was opened: refined, edited, tested", np.zeros(0, dtype=str))
 """The column of work done on the grasps in the viewer."""
 HELD_TEXT, FAILED_TEXT = "held", "failed"
 """Values of `HELD` and `VERDICTS`."""

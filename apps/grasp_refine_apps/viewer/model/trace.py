@@ -105,7 +105,7 @@ class Recorder:
         first = int(state.member.min())
         for i, member in enumerate(state.member.tolist()):
             run = self._runs.setdefault((self._attempt, member), len(self._runs))
-            label = state.stage if run == 0 else f"{state.stage}, try {run + 1}"
+            label = state.stage if run == 0 else f"{state.stage}, start {run + 1}"
             pose = Pose(state.point.T[i].copy(), state.point.q[i].copy())
             gap = np.where(state.touching[i], self._margin, np.nan)
             iteration = _Iteration(run, pose, gap, float(state.loss[i]), label)

@@ -51,7 +51,7 @@ from grasp_refine_apps.viewer.panels.table import page_of, pages, table_html
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_choice, on_click
 from grasp_refine_apps.viewer.server.viser_private import click_script
 
-PREVIOUS, NEXT, RANDOM, WORST = "◀ Previous", "Next ▶", "Random", "Worst"
+PREVIOUS, NEXT, RANDOM, WORST = "◀ Previous", "Next ▶", "Random", "Weakest"
 NOTHING = "nothing"
 """Label of no comparison."""
 MEASURE = "Measure all"
@@ -91,7 +91,10 @@ class BrowsePanel:
         gui = server.gui
         self.metrics = gui.add_html("")
         self.steps = gui.add_button_group(
-            "Open", (PREVIOUS, NEXT, RANDOM, WORST), hint="Open another grasp of the list below"
+            "Open",
+            (PREVIOUS, NEXT, RANDOM, WORST),
+            hint="Open another grasp of the list below; the weakest has the lowest quality or, where that is unknown, "
+            "the largest wrench residual, penetration or contact error",
         )
         self.marks = gui.add_button_group(
             "Mark", (GOOD, BAD, NO), hint="Your mark of this grasp; kept in a .marks.csv file beside the grasps"
@@ -305,7 +308,7 @@ class BrowsePanel:
         else:
             found = step(listed, number, 1 if where == NEXT else -1)
         if found is None:
-            self._controller.notify(f"the worst grasp is not known yet: press {MEASURE} first", bad=True)
+            self._controller.notify(f"the weakest grasp is not known yet: press {MEASURE} first", bad=True)
         else:
             self._controller.grasps.show(found)
 

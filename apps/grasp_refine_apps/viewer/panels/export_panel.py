@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import io
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -20,7 +21,7 @@ from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.objects.region import ContactRegions, Faces
 from grasp_refine_apps.viewer.drawing.camera import FirstCamera
 from grasp_refine_apps.viewer.files.animation import animation_html, film_of
-from grasp_refine_apps.viewer.files.gif import RENDER_TIMEOUT_S, recorded_gif
+from grasp_refine_apps.viewer.files.gif import RENDER_TIMEOUT_S, SETTLE_S, recorded_gif
 from grasp_refine_apps.viewer.files.opening import HOLE_LABELS, MeshOptions, Opened, open_upload
 from grasp_refine_apps.viewer.files.saved_results import with_results
 from grasp_refine_apps.viewer.files.saving import Saved, grasp_file, grasp_set, grasp_sets
@@ -264,12 +265,18 @@ class ExportPanel:
         client, now = event.client, self._controller.state
         if client is None:
             return
+        if now.gizmo != "none":
+            self._controller.set(gizmo="none")
+            self.settle(RENDER_TIMEOUT_S)
+            time.sleep(SETTLE_S)
         try:
             image = client.get_render(*_size(client.camera), transport_format="png", timeout=RENDER_TIMEOUT_S)
         except (RuntimeError, TimeoutError) as error:
             if client.client_id in self._server.get_clients():
                 self._controller.notify(f"there is no picture: the browser drew none ({error}); try again", bad=True)
             return
+        finally:
+            self._controller.set(gizmo=now.gizmo)
         self._send(client, Saved(f"{_stem(now)}.png", png(image)))
 
     def _animate(self, event: viser.GuiEvent) -> None:

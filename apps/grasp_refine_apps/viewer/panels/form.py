@@ -90,6 +90,8 @@ class Form:
     """Names of fields without a widget."""
     units: Mapping[str, FieldUnit] = field(default_factory=dict)
     """Units in which fields are shown and typed; others as they are."""
+    rest: str = "More options"
+    """Title of the folder of the others; empty: `make_rest` makes them, in the container that is open then."""
     patience: float = REFUSAL_DELAY_S
     """Seconds until invalid text is refused."""
 
@@ -99,6 +101,7 @@ class Form:
     _sections: dict[str, Section] = field(init=False, default_factory=dict)
     _waiting: dict[str, Timer] = field(init=False, default_factory=dict)
     _sent: list[Any] = field(init=False, default_factory=list)
+    _others: list[Entry | Section] = field(init=False, default_factory=list)
     _lock: RLock = field(init=False, default_factory=RLock)
 
     def __post_init__(self) -> None:
@@ -107,10 +110,15 @@ class Form:
         self._defaults = type(self.value)()
         parts = {part.name: part for part in parts_of(type(self.value)) if part.name not in self.left_out}
         self._make(parts[name] for name in self.first)
-        rest = [part for name, part in parts.items() if name not in self.first]
-        if rest:
-            with self.gui.add_folder("More options", expand_by_default=False):
-                self._make(rest)
+        self._others = [part for name, part in parts.items() if name not in self.first]
+        if self._others and self.rest:
+            with self.gui.add_folder(self.rest, expand_by_default=False):
+                self._make(self._others)
+        self._set_visible(self._without_unused(self.value)[1])
+
+    def make_rest(self) -> None:
+        """Make the widgets of the other fields."""
+        self._make(self._others)
         self._set_visible(self._without_unused(self.value)[1])
 
     def show(self, value: Any) -> None:

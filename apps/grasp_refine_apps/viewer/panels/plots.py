@@ -19,7 +19,7 @@ MIN_LENGTH_MM = 1e-3
 """Smallest length drawn, in mm: a logarithmic axis has no zero, and uPlot writes no smaller number."""
 
 _GRID: Any = {"stroke": "rgba(128, 128, 128, 0.15)", "width": 1}
-_SERIES = ((REMAINING, "#1c7ed6"), ("penetration", "#e8590c"), ("√loss", "#2b8a3e"))
+_SERIES = ((REMAINING, "#1c7ed6"), ("penetration", "#e8590c"), ("total error", "#2b8a3e"))
 _SHOWN: Any = {"label": "shown now", "stroke": "#868e96", "width": 2, "points": {"show": False}}
 
 
@@ -65,7 +65,7 @@ def curves(trace: Trace, frame: int | None) -> Float[np.ndarray, "5 P"]:
         frame: The iteration with a line; None: the last one.
 
     Returns:
-        Iteration; remaining gap, penetration and root of the loss, in mm; the line, NaN elsewhere.
+        Iteration; remaining gap, penetration and total error (root of the loss), in mm; the line, NaN elsewhere.
     """
     last = len(trace) - 1
     frame = last if frame is None else min(frame, last)

@@ -13,6 +13,8 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.table import measure_text
 from grasp_refine.results.verdict import HOLDS, should_hold
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.model.pose import targets_of
 from grasp_refine_apps.viewer.model.state import State
@@ -20,21 +22,12 @@ from grasp_refine_apps.viewer.panels.form import Form, plain
 from grasp_refine_apps.viewer.panels.plots import Plot
 from grasp_refine_apps.viewer.panels.timeline import Timeline
 from grasp_refine_apps.viewer.panels.units import SETTING_UNITS
-from grasp_refine_apps.viewer.panels.widgets import in_a_row, on_click
+from grasp_refine_apps.viewer.panels.widgets import in_a_row, on_change, on_click
 
-FIRST_SETTINGS = (
-    "solver",
-    "derivative",
-    "neighborhood",
-    "geometry_only",
-    "iterations",
-    "tolerance",
-    "margin",
-    "starts",
-    "seed",
-    "weights",
-)
-"""Settings shown first, which are changed most often."""
+FIRST_SETTINGS = ("prefer", "freeze")
+"""Settings that are shown; all others are folded away."""
+AS_OPENED = "as opened"
+"""Label of the task that the grasps came with."""
 HIDDEN_SETTINGS = ("device", "dtype")
 """Settings of batches: one grasp is refined on the CPU here."""
 
@@ -45,35 +38,47 @@ class RefinePanel:
     def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
         """Make the widgets inside the tab or folder that is open."""
         gui, settings = server.gui, controller.state.settings
+        self._controller = controller
+        hint = "What the grasp is for: its pushes or its lift set the forces that should balance.\n" + "\n".join(
+            f"{name}: {protocol.summary}" for name, protocol in PROTOCOLS.items()
+        )
+        self.task: Any = gui.add_dropdown("Task", (AS_OPENED, *PROTOCOLS), hint=hint)
+        on_change(self.task, self._set_task)
+        self.form = Form(
+            gui,
+            settings,
+            lambda settings: controller.set(settings=settings),
+            lambda words: controller.notify(words, bad=True),
+            check=lambda settings: settings.config(),
+            unused=lambda settings: [name for name, _ in settings.unused()],
+            first=FIRST_SETTINGS,
+            left_out=HIDDEN_SETTINGS,
+            units=SETTING_UNITS,
+            rest="",
+        )
         self.start = gui.add_button(
             "Start", icon=viser.Icon.PLAYER_PLAY, color="green", hint="Refine the grasp that is shown"
         )
-        self.pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, hint="Pause the refinement, or resume it")
-        self.step = gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="Do one iteration, then wait")
         self.stop = gui.add_button(
             "Stop", icon=viser.Icon.PLAYER_STOP, hint="Stop the running job; the hand stays there"
         )
         self.reset = gui.add_button("Reset", icon=viser.Icon.ROTATE, hint="Reset to the input grasp")
-        in_a_row(gui, (self.start, self.pause, self.step))
-        in_a_row(gui, (self.stop, self.reset))
+        in_a_row(gui, (self.start, self.stop, self.reset))
         self.text = gui.add_markdown("")
         self.bar: Any = gui.add_progress_bar(0.0)
         self.plot = Plot(gui)
         self.slow_draws = (self.plot.draw,)
-        with gui.add_folder("Timeline"):
+        self.history: Any = gui.add_folder("Timeline", visible=False)
+        with self.history:
             self.timeline = Timeline(gui, controller)
-        with gui.add_folder("Settings, from the next start on"):
-            self.form = Form(
-                gui,
-                settings,
-                lambda settings: controller.set(settings=settings),
-                lambda words: controller.notify(words, bad=True),
-                check=lambda settings: settings.config(),
-                unused=lambda settings: [name for name, _ in settings.unused()],
-                first=FIRST_SETTINGS,
-                left_out=HIDDEN_SETTINGS,
-                units=SETTING_UNITS,
+        with gui.add_folder("Step by step", expand_by_default=False):
+            self.step = gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="Do one iteration, then wait")
+            self.pause = gui.add_button(
+                "Pause", icon=viser.Icon.PLAYER_PAUSE, hint="Pause the refinement, or resume it"
             )
+            in_a_row(gui, (self.step, self.pause))
+        with gui.add_folder("More settings", expand_by_default=False):
+            self.form.make_rest()
             self.defaults = gui.add_button("Default settings", icon=viser.Icon.RESTORE, hint="Reset all settings")
         on_click(self.start, controller.refinement.start)
         on_click(self.pause, controller.refinement.pause)
@@ -99,6 +104,27 @@ class RefinePanel:
         self.bar.animated = refined is not None and not paused and refined.share is None
         self.timeline.draw(state)
         self.form.show(state.settings)
+
+        self.history.visible = state.trace is not None
+        shown = self._task_of(state)
+        if self.task.value != shown:
+            self.task.value = shown
+
+    def _set_task(self, name: str) -> None:
+        """Refine, and then test, for another task."""
+        if name not in (AS_OPENED, *PROTOCOLS):
+            # Clients can send arbitrary text.
+            return
+        with self._controller.lock:
+            state = self._controller.state
+            collection = state.collection.with_protocol(None if name == AS_OPENED else PROTOCOLS[name])
+            protocol = state.protocol[0] if name == AS_OPENED else name
+            self._controller.set(collection=collection, scene=collection.scene(state.number), protocol=(protocol, None))
+
+    def _task_of(self, state: State) -> str:
+        """Label of the task of the shown grasp."""
+        protocol = state.scene.task.protocol
+        return protocol.name if state.collection.asked is not None and isinstance(protocol, Protocol) else AS_OPENED
 
     def close(self) -> None:
         """Stop playing."""
@@ -137,7 +163,7 @@ def outcome_text(outcome: Outcome) -> str:
         verdict = "Should hold" if should_hold(outcome.quality[:, 1])[0] else "May slip"
         gap = f", with a gap of {outcome.gap[0]}" if outcome.gap[0] else ""
         head = (
-            f"**{verdict}**{gap}: by its quality, an estimate (from {HOLDS:.3f} on); **Validate** simulates\n\n"
+            f"**{verdict}**{gap}: by its quality, an estimate (from {HOLDS:.3f} on); **Validate** tests it\n\n"
             f"Change: **{outcome.change[0]}** ({', '.join(moved)})\n\n{head}"
         )
     advice = f"\n\n{plain(status.advice)}" if status.advice else ""

@@ -39,6 +39,7 @@ WIDTH_CLASSES = {
     "penetration_m_after": "gr-wide",
     STATUS.key: "gr-word",
     HELD.key: "gr-word",
+    HERE.key: "gr-word",
 }
 """CSS classes of columns that are wider than a short number."""
 CONVERGED_STATUS = "converged"
@@ -142,11 +143,11 @@ def _row(collection: Collection, columns: list[Column], number: int, *, several:
 
 
 def _cell(column: Column, number: int) -> str:
-    """Cell of a column; letters mark work done here, with the times as a hint."""
+    """Cell of a column; of work done here without the times, which are a hint."""
     text = column.text(number)
     if column.key == HERE.key:
-        letters = " ".join(part[:1].upper() for part in text.split(", "))
-        return f'<td title="{escape(text)}">{letters}</td>'
+        words = ", ".join(part.split(" ")[0] for part in text.split(", "))
+        return f'<td title="{escape(text)}">{words}</td>'
     return f"<td{_class(column, number)}>{escape(text)}</td>"
 
 

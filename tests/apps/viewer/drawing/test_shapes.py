@@ -12,6 +12,7 @@ from grasp_refine_apps.viewer.drawing.shapes import (
     CONTACT_COLOR,
     LINK_COLOR,
     OBJECT_COLOR,
+    URDF_COLOR_SHARE,
     LinkPoses,
     Shape,
     collision_shapes,
@@ -83,7 +84,7 @@ def test_collision_shapes_are_what_collides(hand: Hand):
 def test_contact_links_have_a_colour_of_their_own_and_black_is_lightened(hand: Hand):
     assert [contact.link for contact in hand.contacts] == ["tip"]
     colors = {link: shape.color for link, shape in by_link(visual_shapes(hand)).items()}
-    half = tuple(round(0.5 * channel) for channel in LINK_COLOR)
+    half = tuple(round((1 - URDF_COLOR_SHARE) * channel) for channel in LINK_COLOR)
     assert colors == {"base": LINK_COLOR, "finger": LINK_COLOR, "tip": CONTACT_COLOR, "nail": half}
     assert {shape.color for shape in collision_shapes(hand)} == {LINK_COLOR, CONTACT_COLOR}
 

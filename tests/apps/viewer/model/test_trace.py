@@ -52,17 +52,17 @@ def assert_shows(trace: Trace, gaps: list[float], labels: list[str]) -> None:
 def test_the_first_start_that_is_not_done_is_followed_from_the_input_grasp_on(recorder: Recorder) -> None:
     trace = recorder.trace()
     assert trace is not None
-    assert_shows(trace, [0.02, 0.03, -0.003], ["the input grasp", f"{SLIDE}, try 2", f"{SETTLE}, try 2"])
+    assert_shows(trace, [0.02, 0.03, -0.003], ["the input grasp", f"{SLIDE}, start 2", f"{SETTLE}, start 2"])
     np.testing.assert_allclose(trace.remaining, [0.019, 0.029, 0.004], atol=1e-9)
     np.testing.assert_allclose(trace.penetration, [0.0, 0.0, 0.003], atol=1e-9)
     np.testing.assert_array_equal(trace.gap, np.tile([MARGIN_M, MARGIN_M, np.nan], (3, 1)))
-    assert trace.caption(2).startswith(f"{SETTLE}, try 2: iteration 3 of 3\n")
+    assert trace.caption(2).startswith(f"{SETTLE}, start 2: iteration 3 of 3\n")
 
 
 def test_the_result_ends_the_run_that_came_nearest_to_it(recorder: Recorder) -> None:
     gap = np.array([MARGIN_M, np.nan, np.nan])
     trace = recorder.result(pose(0.0495), gap, 4e-6)
-    labels = ["the input grasp", f"{SLIDE}, try 3", f"{SETTLE}, try 3", "the best of all"]
+    labels = ["the input grasp", f"{SLIDE}, start 3", f"{SETTLE}, start 3", "the best of all"]
     assert_shows(trace, [0.02, 0.008, 0.05, 0.0495], labels)
     assert trace.loss[-1] == 4e-6 and trace.remaining[-1] == pytest.approx(0.0485, abs=1e-9)
     first = recorder.result(pose(0.0061), gap, 0.0)

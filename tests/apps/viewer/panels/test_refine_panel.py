@@ -16,7 +16,7 @@ from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.model.trace import Trace
 from grasp_refine_apps.viewer.panels.form import plain
 from grasp_refine_apps.viewer.panels.plots import MAX_POINTS, MIN_LENGTH_MM, curves
-from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel, job_text, outcome_text
+from grasp_refine_apps.viewer.panels.refine_panel import AS_OPENED, RefinePanel, job_text, outcome_text
 from grasp_refine_apps.viewer.panels.timeline import numbers
 from open_viewer import controller, shown_panel
 from refusals import assert_names
@@ -198,6 +198,20 @@ def test_the_outcome_is_reported_with_advice(shown: Shown):
     assert plain(status.advice) in outcome_text(outcome)
     assert f"**{outcome.change[0]}** (displacement {1e3 * outcome['displacement_m'][0]:.2f} mm" in outcome_text(outcome)
     for measure in COMPARED:
-        # Measures of scenes, regions and arms are left out where there is none.
-        without = measure.name in ("scene_penetration_m", "region_miss_m", "arm_dexterity_m")
+        # Measures of scenes, regions, arms and scans are left out where there is none.
+        without = np.isnan(outcome[measure.name][0]).all()
         assert (f"| {measure.headline} |" in table) != without
+
+
+def test_another_task_sets_what_is_refined_and_tested_for_and_returns(shown: Shown):
+    made, panel, page = shown
+    before = made.state.scene.demand
+    page.change(panel.task, "tabletop")
+    until(lambda: made.state.scene.task.protocol is not None)
+    assert made.state.scene.task.protocol.name == made.state.protocol[0] == "tabletop" == panel.task.value
+    assert made.state.scene.demand != before
+    made.grasps.show(1)
+    assert made.state.scene.task.protocol.name == "tabletop", "of all open grasps"
+    page.change(panel.task, AS_OPENED)
+    until(lambda: made.state.scene.task.protocol is None)
+    assert made.state.scene.demand == before
