@@ -257,8 +257,6 @@ def _simulate(
     from grasp_refine.validation.set_points import clipping_note
 
     names = chosen_engines(engines, worlds, listener.note)
-    if scanned := sorted({group.object for group in problem.groups if len(group.scene.object.hypotheses) > 1}):
-        listener.note(f"{', '.join(scanned)}: simulated as the most probable solid; quality is over all that it may be")
     trials: dict[EngineName, tuple[list[Trials], list[Trials]]] = {name: ([], []) for name in names}
     motions: list[Motion] = []
     for group, part, world in zip(problem.groups, parts, worlds, strict=True):

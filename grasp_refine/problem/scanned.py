@@ -92,7 +92,7 @@ def _not_seen(scene: Scene, ends: Ends, measures: dict[str, np.ndarray]) -> list
     unsure = should_hold(likely) & ~should_hold(held)
     texts = []
     for i in range(len(held)):
-        text = f"it holds {held[i]:.0%} of what the object may be" if unsure[i] else ""
+        text = f"it holds {int(100 * held[i])} % of what the object may be" if unsure[i] else ""
         if text and views is not None and views[i].any():
             text += f"; another view from {direction_text(views[i])} would show most of its contacts"
         texts.append(text)

@@ -21,7 +21,7 @@ def worlds_of(
     Args:
         problem: Hand, objects and task.
         cache: Keeps models and worlds for the next problem.
-        on_note: Called with notes for the user on the model of the hand.
+        on_note: Called with notes for the user on the model of the hand, and on scanned objects.
 
     Raises:
         GraspRefineError: MuJoCo cannot compile the hand or a world.
@@ -33,6 +33,8 @@ def worlds_of(
     model = cache.get("model", hand, partial(model_of, hand))
     for note in model.notes:
         on_note(note)
+    for name in sorted({group.object for group in problem.groups if len(group.scene.object.hypotheses) > 1}):
+        on_note(f"{name}: simulated as its most probable solid, whose quality validations show")
     worlds = []
     for scene in (group.scene for group in problem.groups):
         setting = scene.object, scene.task.for_simulation

@@ -9,7 +9,9 @@ import grasp_refine as gr
 from grasp_refine.closing.hypotheses import Ends
 from grasp_refine.geometry.pieces import Piece, hull
 from grasp_refine.objects.object import scanned_object
+from grasp_refine.problem.facade import problem_of
 from grasp_refine.problem.scanned import next_views
+from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.scans.hypothesis import Hypothesis
 from grasp_refine.scans.scan import Scan
 
@@ -81,3 +83,10 @@ def test_another_view_is_wanted_where_unseen_contacts_face(scan: Scan):
     assert next_views(scan, ends, weights)[0] == pytest.approx([-1.0, 0.0, 0.0])
     seen = replace(ends, touching=touching & [True, False])
     assert next_views(scan, seen, weights)[0] == pytest.approx([0.0, 0.0, 0.0])
+
+
+def test_simulations_say_that_they_are_of_the_most_probable_solid(scan: Scan, hand: gr.Hand, grasps: gr.GraspSet):
+    notes: list[str] = []
+    problem = problem_of(hand, scanned(scan, {0.06: 0.6, 0.08: 0.4}), grasps)
+    worlds_of(problem, on_note=notes.append)
+    assert any("simulated as its most probable solid" in note for note in notes)
