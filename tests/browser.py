@@ -131,7 +131,7 @@ class ViserPage:
 
     def open(self, address: str, query: str = "") -> None:
         """Load an address and wait until its scene exists; viser's remark on slow graphics is closed."""
-        self.page.goto(f"{address}?{query}&fixedDpr={DETAIL:g}")
+        self.page.goto(f"{address}{'&' if '?' in address else '?'}{query}&fixedDpr={DETAIL:g}")
         ready = "() => window.__viserMutable && window.__viserMutable.nodeRefFromName['']"
         self.page.wait_for_function(ready, timeout=1000 * SECONDS)
         self.close_notifications()

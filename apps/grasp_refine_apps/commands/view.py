@@ -66,8 +66,8 @@ class Serving:
     groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("page"),)
 
     host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0: all of this machine. By default only this machine can open the page; with any
-    other one, whoever has the printed address with its token can, and can do everything that the page can."""
+    """Address to listen on; 0.0.0.0: all of this machine. By default only this machine can open the page. Whoever has
+    the printed address with its token can do everything that the page can."""
     port: int = 8080
     """Port to listen on; 0: any that is free."""
     open: bool = True
@@ -103,7 +103,7 @@ class View:
             GraspRefineError: a file cannot be used, or the port is taken.
         """
         from grasp_refine_apps.viewer.panels.banner import Banner
-        from grasp_refine_apps.viewer.server.access import PUBLIC_WARNING
+        from grasp_refine_apps.viewer.server.access import PUBLIC_WARNING, is_local
         from grasp_refine_apps.viewer.server.page import close_server, open_server
 
         check_writable(self.serving.json, overwrite=self.serving.overwrite)
@@ -114,7 +114,7 @@ class View:
         try:
             screen().print(f"{page.address} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
             sys.stdout.flush()
-            if page.access.token:
+            if not is_local(self.serving.host):
                 screen(stderr=True).print(f"Warning: {PUBLIC_WARNING}", highlight=False)
             where = {"address": page.address, "host": page.server.get_host(), "port": page.server.get_port()}
             save_document(self.serving.json, "view", where)

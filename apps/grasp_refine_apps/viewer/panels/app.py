@@ -146,7 +146,9 @@ class Viewer:
 
     def _repr_html_(self) -> str:
         """Return the page in a frame, for a notebook."""
-        return f'<iframe src="{html.escape(self.address)}" width="100%" height="{NOTEBOOK_HEIGHT_PX}"></iframe>'
+        return (
+            f'<iframe src="{html.escape(self.page.frame_address)}" width="100%" height="{NOTEBOOK_HEIGHT_PX}"></iframe>'
+        )
 
     def __enter__(self) -> Viewer:
         """Return the viewer."""

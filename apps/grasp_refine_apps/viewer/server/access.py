@@ -1,4 +1,4 @@
-"""Access to the page: by this machine only, or over the network by people who have the address with its token."""
+"""Access to the page, on this machine or over the network: by people who have the address with its token."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from hmac import compare_digest
 from http.cookies import CookieError, SimpleCookie
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, quote, urlsplit
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")
 """Names of this machine that only it can reach."""
@@ -39,13 +39,13 @@ class Access:
 
     host: str
     """Host that the server listens on."""
-    token: str = field(default="", repr=False)
-    """Token without which nothing is answered; empty: none is needed."""
+    token: str = field(repr=False)
+    """Token without which nothing is answered: other users of this machine reach its ports, too."""
 
     @staticmethod
     def to(host: str) -> Access:
-        """Return the rules of a host: a new token unless only this machine can reach it."""
-        return Access(host, "" if is_local(host) else secrets.token_urlsafe(TOKEN_BYTES))
+        """Return the rules of a host, with a new token."""
+        return Access(host, secrets.token_urlsafe(TOKEN_BYTES))
 
     def allows_origin(self, origin: str | None, host: str | None) -> bool:
         """Return whether a page may connect to the server.
@@ -57,27 +57,27 @@ class Access:
         if origin is None:
             return True
         parts = urlsplit(origin)
-        if parts.scheme not in ("http", "https"):
-            return False
-        if not self.token:
-            # Other pages of this machine are let in, such as through a tunnel with another port.
-            return parts.hostname in (*LOCAL_HOSTS, self.host)
-        return host is not None and parts.netloc.lower() == host.lower()
+        # Through a tunnel with another port, page and connection are asked from that port.
+        return parts.scheme in ("http", "https") and host is not None and parts.netloc.lower() == host.lower()
 
     def allows_token(self, path: str, cookie: str | None, port: int) -> bool:
-        """Return whether a request has the token, if one is needed, in its path or in its cookie."""
+        """Return whether a request has the token in its path or in its cookie."""
         tokens = (*parse_qs(urlsplit(path).query).get(TOKEN, ()), _cookie_value(cookie, port))
-        return not self.token or any(compare_digest(one.encode(), self.token.encode()) for one in tokens)
+        return any(compare_digest(one.encode(), self.token.encode()) for one in tokens)
 
     def cookies(self, port: int) -> Mapping[str, str]:
-        """Return the headers with which a browser keeps the token, by port; none without one."""
-        return {"Set-Cookie": f"{COOKIE}-{port}={self.token}; Path=/; HttpOnly; SameSite=Strict"} if self.token else {}
+        """Return the headers with which a browser keeps the token, by port."""
+        return {"Set-Cookie": f"{COOKIE}-{port}={self.token}; Path=/; HttpOnly; SameSite=Strict"}
 
     def address(self, port: int) -> str:
         """Return the address to open in a browser, from the network if others can reach it."""
         name = network_address(self.host) if self.host in ALL_ADDRESSES else self.host
-        end = f"/?{TOKEN}={self.token}" if self.token else ""
-        return f"http://{f'[{name}]' if ':' in name else name}:{port}{end}"
+        return f"http://{f'[{name}]' if ':' in name else name}:{port}/?{TOKEN}={self.token}"
+
+    def frame_address(self, port: int) -> str:
+        """Return the address for a frame in another page, such as a notebook, where browsers keep no cookies."""
+        address = self.address(port)
+        return f"{address}&websocket={quote(address.replace('http', 'ws', 1), safe='')}"
 
 
 def is_local(host: str) -> bool:

@@ -95,14 +95,19 @@ class Page:
 
     @property
     def address(self) -> str:
-        """Address to open in a browser, with its token if it needs one."""
+        """Address to open in a browser, with its token."""
         return self.access.address(self.server.get_port())
+
+    @property
+    def frame_address(self) -> str:
+        """Address for a frame in another page."""
+        return self.access.frame_address(self.server.get_port())
 
 
 def open_server(host: str, port: int, again: str = "") -> Page:
     """Start the server; port 0 is any that is free. Its page names the command `again` when the program has ended.
 
-    A host that others can reach gets a token, without which nothing is answered.
+    Without the token of the address, nothing is answered.
 
     Raises:
         GraspRefineError: it cannot listen there.

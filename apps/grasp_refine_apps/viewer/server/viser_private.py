@@ -19,6 +19,7 @@ from http import HTTPStatus
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from urllib.parse import urlsplit
 
 import viser
 import websockets.asyncio.server
@@ -115,7 +116,7 @@ def _guarded_answer(answer: Answer, access: Access, again: str) -> Answer:
             return _refusal("Open the whole address that refine-grasp view printed: it ends with a token.")
         if not access.allows_origin(origin, host):
             return _refusal("Only the page of this server may connect to it.")
-        if request.path == ALIVE:
+        if urlsplit(request.path).path == ALIVE:
             return Response(HTTPStatus.NO_CONTENT, "No Content", Headers())
         found = answer(connection, request)
         if found is not None:

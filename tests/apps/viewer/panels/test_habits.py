@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import nullcontext
+from html import escape
 from pathlib import Path
 from types import SimpleNamespace
 from urllib.request import Request, urlopen
@@ -72,7 +73,7 @@ def test_a_hand_of_ours_has_a_badge_that_names_the_makers_and_a_notebook_shows_t
     collection = viewer.controller.state.collection
     assert "hands/allegro" in badge(collection.hand) and title(collection).startswith("example_mug.npz")
     assert badge(load_hand(Path(__file__).parents[3] / "two_jaws.urdf", candidates=16)) == ""
-    assert f'<iframe src="{viewer.address}"' in viewer._repr_html_()
+    assert f'<iframe src="{escape(viewer.page.frame_address)}"' in viewer._repr_html_()
     for encoding in ("identity", "gzip"):
         with urlopen(Request(viewer.address, headers={"Accept-Encoding": encoding})) as answer:
             body = answer.read()
