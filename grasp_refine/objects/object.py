@@ -78,7 +78,7 @@ class Object:
     scan: Scan | None = None
     """Scan of which this is the most probable completion; None: its surface is known."""
     hypotheses: tuple[Hypothesis, ...] = ()
-    """Solids that a scanned object may be, the most probable first."""
+    """Solids that a scanned object may be; the first stands for all."""
     record: Mapping[str, Any] | None = None
     """Arguments with which `load_object` reads the scan again, as JSON; None: it is in memory, or there is no scan."""
 

@@ -66,7 +66,7 @@ class Completing:
     def solids(
         self, scan: Scan, *, scale: float, holes: Holes, decomposition: Decomposition, cache: Path | None, seed: int
     ) -> tuple[tuple[Hypothesis, ...], tuple[str, ...]]:
-        """Return the solids that the object of a scan may be, the most probable first, and notes for the user.
+        """Return the solids that the object of a scan may be, one that stands for all first, and notes for the user.
 
         Raises:
             GraspRefineError: the scan cannot be completed, or completions of another program cannot be used.

@@ -113,8 +113,8 @@ def _climb(
     frame: ViewFrame, symmetry: Callable[[np.ndarray], np.ndarray], kept: np.ndarray, steps: np.ndarray
 ) -> np.ndarray:
     """Parameters (N, n) that are likelier: the best of random steps, of ever smaller size."""
-    for size in 0.5 ** np.arange(4):
-        tries = kept[:, None] + size * steps * frame.rng.standard_normal((len(kept), 10, kept.shape[1]))
+    for size in 0.6 ** np.arange(6):
+        tries = kept[:, None] + size * steps * frame.rng.standard_normal((len(kept), 12, kept.shape[1]))
         tries[:, 0] = kept
         likely = frame.log_likelihood(symmetry(tries.reshape(-1, kept.shape[1]))).reshape(tries.shape[:2])
         kept = tries[np.arange(len(kept)), likely.argmax(axis=1)]
@@ -155,7 +155,9 @@ def _revolved(frame: ViewFrame) -> Iterator[Candidate]:
     for _ in range(8):
         chosen = frame.rng.permutation(len(frame.points))[: max(MIN_POINTS, len(frame.points) // 4)]
         starts.append(axes_of_revolution(frame.points[chosen], frame.normals[chosen])[:2])
-    axes = np.concatenate(starts)
+    # Noise of the normals draws the axis to the surface: try farther ones as well.
+    farther = np.array([0.0, 0.05, 0.1, 0.15])[:, None, None] * frame.excess * np.eye(6)[5]
+    axes = (np.concatenate(starts) + farther).reshape(-1, 6)
     axes = axes[np.abs(axes[:, 2]) < ALONG]
     steps = np.array([0.05, 0.05, 0.05, *np.full(3, 0.05 * frame.excess)])
     return _symmetric(frame, "revolved", revolution, axes, steps) if len(axes) else iter(())

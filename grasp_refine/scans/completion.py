@@ -20,25 +20,25 @@ from grasp_refine.scans.space import Plane
 from grasp_refine.scans.view_frame import ViewFrame
 
 PRIORS = {
-    "mirrored": 0.15,
+    "mirrored": 0.25,
     "inverted": 0.1,
     "half-turned": 0.05,
-    "revolved": 0.3,
+    "revolved": 0.25,
     "extruded": 0.1,
-    "inflated": 0.1,
-    "shell": 0.05,
-    "hull": 0.15,
+    "inflated": 0.05,
+    "shell": 0.15,
+    "hull": 0.05,
 }
 """Probability of each kind before the scan is looked at."""
 
 
 def complete(scan: Scan, *, count: int = 8, seed: int = 0, table: Plane | None = None) -> tuple[Hypothesis, ...]:
-    """Return at most `count` solids that the object of a scan may be, the most probable first; weights sum to 1.
+    """Return at most `count` solids that the object of a scan may be; their weights sum to 1.
 
     Candidates of several kinds (`PRIORS`) are drawn with thicknesses as of many objects, and weighed by the points that
     they put into free space or onto the seen surface. The hypotheses are the candidates that stand for all others at
-    the least distance, with the weights of the others. All but the first are shifted along the line of sight by the
-    noise of the sensor.
+    the least distance, with the weights of the others. The first is nearest to all, the others follow by weight,
+    shifted along the line of sight by the noise of the sensor.
 
     Args:
         scan: points on the seen surface, with outward normals.
@@ -70,7 +70,7 @@ def complete(scan: Scan, *, count: int = 8, seed: int = 0, table: Plane | None =
 
 
 def _representatives(frame: ViewFrame, candidates: list[Candidate], count: int) -> list[tuple[Candidate, float]]:
-    """Candidates that stand for all, the most probable first, with the probability of all for which each stands.
+    """Candidates that stand for all, the one nearest to all first, with the probability of all for which each stands.
 
     The distance between two is the volume that is in one of them only.
     """
@@ -91,7 +91,7 @@ def _representatives(frame: ViewFrame, candidates: list[Candidate], count: int) 
         chosen.append(best)
         left = np.minimum(left, apart[best])
     mass = np.bincount(apart[chosen].argmin(axis=0), weight, minlength=len(chosen))
-    order = np.argsort(-mass, kind="stable")
+    order = np.append(0, 1 + np.argsort(-mass[1:], kind="stable"))
     return [(candidates[chosen[index]], float(mass[index])) for index in order]
 
 
