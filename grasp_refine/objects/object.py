@@ -312,8 +312,8 @@ def load_object(
         found = scanned_object(name, scan, solids, candidates=candidates, seed=seed)
         record = record_of(file[0], sensors, completing) if file else None
         return replace(found, repairs=(*notes, *more), file=file, record=record)
-    if sensors.known or completions is not None:
-        raise GraspRefineError(f"{text}: its surface is known; sensors and completions are for scans")
+    if sensors.known or completions is not None or hypotheses != HYPOTHESES:
+        raise GraspRefineError(f"{text}: its surface is known; sensors, hypotheses and completions are for scans")
     convex = len(pieces) == 1
     if not pieces:
         mesh, notes = watertight(mesh, name, holes)

@@ -35,6 +35,11 @@ FLATNESS, FLAT_NOISES = 0.003, 2.0
 """Standard deviation from one plane below which only a plane was seen, as a share of the diagonal, and in noises."""
 
 
+TABLE_SHARE, TABLE_ABOVE, TABLE_TRIES = 0.5, 0.95, 64
+"""Share of the points in one plane, and of the others on the sensors' side of it, above which the plane may be a table,
+and number of planes that are tried. Where a side of an object is a plane, the others are behind it."""
+
+
 def scan_of_points(
     points: Float[np.ndarray, "P 3"],
     normals: Float[np.ndarray, "P 3"] | None,
@@ -97,6 +102,8 @@ def scan_of_points(
     if len(origins):
         facing = ((origins[view] - points) * normals).sum(axis=1)
         normals = np.where((facing < 0)[:, None], -normals, normals)
+    if len(origins) and (share := _table_share(points, normals, noise)):
+        notes.append(f"{share:.0%} of its points are in a plane below the others; if it is the table, mask the object")
     return Scan(points, normals, np.asarray(origins, dtype=np.float64), view, noise), tuple(notes)
 
 
@@ -223,3 +230,23 @@ def _check_solid(points: Float[np.ndarray, "P 3"], noise: float, name: str) -> N
             f"{name}: only a plane, {diagonal * 1e3:.3g} mm across, was seen; is it the table? An object needs a view "
             "that shows more than one of its sides"
         )
+
+
+def _table_share(points: Float[np.ndarray, "P 3"], normals: Float[np.ndarray, "P 3"], noise: float) -> float:
+    """Return the share of points in a plane that may be a table, see `TABLE_SHARE`; 0: there is none."""
+    reach = 3.0 * noise + FLATNESS * float(np.linalg.norm(np.ptp(points, axis=0)))
+    for at in np.linspace(0, len(points) - 1, TABLE_TRIES).astype(int):
+        middle, normal = points[at], normals[at]
+        for _ in range(3):
+            # The plane of a point's neighbours, then that of all points near it.
+            height = (points - middle) @ normal
+            near = np.abs(height) < reach
+            if near.sum() < MIN_POINTS:
+                break
+            middle = points[near].mean(axis=0)
+            off = points[near] - middle
+            normal = np.linalg.eigh(off.T @ off)[1][:, 0]
+            normal = normal if normal @ normals[at] > 0 else -normal
+        if near.mean() > TABLE_SHARE and not near.all() and (height[~near] > 0).mean() > TABLE_ABOVE:
+            return float(near.mean())
+    return 0.0

@@ -140,6 +140,7 @@ def test_completions_of_another_program_are_taken_as_they_are(there: Path):
         ({"source": "mug", "seen_from": (0, 0, 1)}, ("mug", "scans")),
         ({"source": "sphere:0.03", "camera": np.eye(4)}, ("sphere:0.03", "scans")),
         ({"source": "mug", "completions": "done"}, ("mug", "scans")),
+        ({"source": "mug", "hypotheses": 2}, ("mug", "hypotheses", "scans")),
         ({"source": "scan.ply", "seen_from": (0, 0, 1), "hypotheses": 0}, ("hypotheses", "0")),
         ({"source": "scan.ply", "seen_from": (0, 0, 1), "mask": "mask.png"}, ("scan.ply", "mask")),
         ({"points": [[0, 0, 0]], "seen_from": (0, 0, 1)}, ("1 point",)),

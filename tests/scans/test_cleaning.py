@@ -102,6 +102,18 @@ def test_a_plane_is_refused(angle, noise):
         scan_of(flat @ turn.T)
 
 
+def test_a_table_below_the_object_is_noted_and_a_side_of_it_is_not():
+    random = np.random.default_rng(0)
+    table = np.column_stack([random.uniform(-0.2, 0.2, (6000, 2)), np.zeros(6000)])
+    table = table[np.linalg.norm(table[:, :2], axis=1) > RADIUS_M] + 0.0005 * random.standard_normal((1, 3))
+    _, notes = scan_of(np.concatenate([table, dome(1500)]))
+    assert any("table" in note for note in notes)
+    # The top of a box, and what is seen of its sides.
+    top = np.column_stack([random.uniform(-0.05, 0.05, (4000, 2)), np.zeros(4000)])
+    side = np.column_stack([np.full(1000, 0.05), random.uniform(-0.05, 0.05, 1000), random.uniform(-0.04, 0, 1000)])
+    assert not scan_of_points(np.concatenate([top, side]), None, np.array([[0.4, 0, 0.4]]), None, "box")[1]
+
+
 def test_two_objects_are_refused_and_parts_of_one_are_not():
     with pytest.raises(MeshError, match="two objects"):
         scan_of(np.concatenate([dome(2000), dome(1000) + [0.3, 0, 0]]))
