@@ -46,8 +46,9 @@ from grasp_refine_apps.viewer.model.state import Job, State
 from grasp_refine_apps.viewer.model.work import Work
 from grasp_refine_apps.viewer.panels.export_panel import shelf_titles
 from grasp_refine_apps.viewer.panels.form import plain
+from grasp_refine_apps.viewer.panels.gallery import Thumbnails, gallery_html
 from grasp_refine_apps.viewer.panels.histogram import brushed_range, histogram_html
-from grasp_refine_apps.viewer.panels.table import page_of, pages, table_html
+from grasp_refine_apps.viewer.panels.table import ROWS_PER_PAGE, page_of, pages, table_html
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_choice, on_click
 from grasp_refine_apps.viewer.server.viser_private import click_script
 
@@ -108,6 +109,7 @@ class BrowsePanel:
             visible=False,
             hint="Draw the grasp of the same number of other open grasps as a ghost, and show its numbers",
         )
+        self.gallery: Any = gui.add_checkbox("Pictures", False, hint="A page of the list as small pictures")
         # Clicks on the table, which is HTML, arrive as values of this widget, which is hidden.
         self.clicks = gui.add_text("click", "", visible=False)
         self.table = gui.add_html("")
@@ -137,6 +139,7 @@ class BrowsePanel:
         self._edited: Pose | None = None
         """Pose of the shown grasp whose distances are in the table, if it was edited."""
         self.slow_draws = (self._draw_edited,)
+        self._thumbnails = Thumbnails(self._show_more)
         self._connect()
 
     def draw(self, state: State) -> None:
@@ -188,12 +191,23 @@ class BrowsePanel:
                 collection = collection.with_columns(column.with_values(values))
         return collection
 
+    def close(self) -> None:
+        """Draw no more pictures."""
+        self._thumbnails.close()
+
+    def _show_more(self) -> None:
+        """Show pictures that were drawn meanwhile."""
+        with self._lock:
+            if self.gallery.value:
+                self._draw_table()
+
     def _connect(self) -> None:
         """Connect the widgets to commands."""
         on_change(self.clicks, self._click)
         on_change(self.key, lambda label: self._sort(self._keys().get(label, NUMBER)))
         on_change(self.descending, lambda descending: self._list(descending=descending))
         on_change(self.measure_of, lambda title: self._choose_histogram())
+        on_change(self.gallery, lambda shown: self._show_gallery())
         on_change(self.beside, lambda beside: self._controller.set(side_by_side=beside))
         on_change(self.compared, self._compare)
         for name, widget in self.filters.items():
@@ -351,9 +365,21 @@ class BrowsePanel:
         """Update the table and the line above it."""
         collection, number = self._collection, self._number
         if collection is not None:
-            script = click_script(self.clicks)
-            self.table.content = table_html(collection, self._listing, self._listed, self._page, number, script)
+            script, place = click_script(self.clicks), (self._listing, self._listed, self._page, number)
+            if self.gallery.value:
+                here = self._listed[self._page * ROWS_PER_PAGE :][:ROWS_PER_PAGE]
+                pictures = self._thumbnails.of(collection, self._controller.state.works, here)
+                self.table.content = gallery_html(collection, *place, pictures, script)
+            else:
+                self.table.content = table_html(collection, *place, script)
             self.metrics.content = metrics_html(collection, number, self._work)
+
+    def _show_gallery(self) -> None:
+        """Show pictures, or the table."""
+        with self._lock:
+            if not self.gallery.value:
+                self._thumbnails.stop()
+            self._draw_table()
 
     def _draw_choices(self, collection: Collection) -> None:
         """Update the choices of the filters."""

@@ -113,7 +113,8 @@ def table_html(
         body = f'<tr><td colspan="{len(columns) + 1}">no grasp passes the filters</td></tr>'
     return (
         f'{STYLE}<div class="gr-table" onclick="{escape(on_click)}">'
-        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{_footer(collection, numbers, page)}</div>"
+        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        f"{footer_html(collection, numbers, page)}</div>"
     )
 
 
@@ -165,7 +166,8 @@ def _class(column: Column, number: int) -> str:
     return f' class="{name}"' if name else ""
 
 
-def _footer(collection: Collection, numbers: Int[np.ndarray, " M"], page: int) -> str:
+def footer_html(collection: Collection, numbers: Int[np.ndarray, " M"], page: int) -> str:
+    """Return the arrows and the place in the list below a page of it."""
     last = pages(numbers) - 1
     first, end = page * ROWS_PER_PAGE + 1, min((page + 1) * ROWS_PER_PAGE, len(numbers))
     text = f"{first} to {end} of {len(numbers)}" if len(numbers) else "none"
