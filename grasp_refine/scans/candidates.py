@@ -185,7 +185,7 @@ def _inflated(frame: ViewFrame) -> Iterator[Candidate]:
 def _shell(frame: ViewFrame) -> Iterator[Candidate]:
     normals, offsets = hull(frame.outer).planes
     free = frame.free[((frame.grid.centers @ normals.T) <= offsets).all(axis=1)]
-    concave = min(float((free > frame.margin).mean()) / OPEN, 1.0)
+    concave = min(float((free > frame.margin).sum()) / max(len(free), 1) / OPEN, 1.0)
     for share in WALLS:
         wall = max(share * float(frame.edge_distance.max()), frame.grid.size)
         yield Candidate("shell", frame.outer, NO_SYMMETRY, float(np.log(max(concave, 1e-9))), wall=wall)

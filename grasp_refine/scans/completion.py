@@ -86,7 +86,7 @@ def _representatives(frame: ViewFrame, candidates: list[Candidate], count: int) 
     while len(chosen) < min(count, len(candidates)):
         gain = np.maximum(left - apart, 0.0) @ weight
         best = int(gain.argmax())
-        if gain[best] <= 1e-6 * apart.max():
+        if chosen and gain[best] <= 1e-6 * apart.max():
             break
         chosen.append(best)
         left = np.minimum(left, apart[best])

@@ -194,6 +194,8 @@ def _thinned(scan: Scan, rng: np.random.Generator) -> Scan:
         raise MeshError(f"a scan needs at least {MIN_POINTS} points, got {len(scan.points)}")
     if not (np.isfinite(scan.points).all() and np.isfinite(scan.normals).all()):
         raise MeshError("points and normals of a scan must be finite")
+    if np.abs(np.linalg.norm(scan.normals, axis=1) - 1.0).max() > 1e-3:
+        raise MeshError("normals of a scan must be unit vectors")
     kept = np.sort(rng.permutation(len(scan.points))[:MAX_POINTS])
     scan = replace(scan, points=scan.points[kept], normals=scan.normals[kept], view=scan.view[kept])
     spread = np.linalg.svd(scan.points - scan.points.mean(axis=0), compute_uv=False)

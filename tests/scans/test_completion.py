@@ -147,11 +147,11 @@ def test_nothing_lies_below_the_table() -> None:
     assert max(overlap(one, mesh) for one in hypotheses) > 0.85
 
 
-def test_a_single_face_is_completed_to_boxes_of_several_depths() -> None:
-    ends = [
-        min(piece.vertices[:, 2].min() for piece in one.pieces)
-        for one in complete(seen(SHAPES["box"](), (0, 0, 1), noise_m=NOISE_M))
-    ]
+@pytest.mark.parametrize("noise_m", [0.0, NOISE_M])
+def test_a_single_face_is_completed_to_boxes_of_several_depths(noise_m: float) -> None:
+    hypotheses = complete(seen(SHAPES["box"](), (0, 0, 1), noise_m=noise_m))
+    assert sum(one.weight for one in hypotheses) == pytest.approx(1.0)
+    ends = [min(piece.vertices[:, 2].min() for piece in one.pieces) for one in hypotheses]
     assert min(ends) < 0.0 and 0.015 < max(ends) < 0.025
 
 
@@ -161,7 +161,9 @@ def test_scans_without_a_sensor_are_completed() -> None:
     assert sum(one.weight for one in complete(blind)) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("fault", ["few", "line", "not finite", "plane without a sensor", "count"])
+@pytest.mark.parametrize(
+    "fault", ["few", "line", "not finite", "not unit", "plane without a sensor", "count", "below the table"]
+)
 def test_scans_of_which_no_solid_can_be_made_are_refused(fault: str) -> None:
     scan = seen(SHAPES["box"](), (0, 0, 1))
     if fault == "few":
@@ -170,7 +172,10 @@ def test_scans_of_which_no_solid_can_be_made_are_refused(fault: str) -> None:
         scan = replace(scan, points=scan.points * [1, 0, 0])
     elif fault == "not finite":
         scan = replace(scan, points=np.where(scan.points == scan.points[3], np.nan, scan.points))
+    elif fault == "not unit":
+        scan = replace(scan, normals=2 * scan.normals)
     elif fault == "plane without a sensor":
         scan = replace(scan, origins=np.zeros((0, 3)))
     with pytest.raises(MeshError):
-        complete(scan, count=0 if fault == "count" else 8)
+        table = np.array([0, 0, 0.1 if fault == "below the table" else -0.1]), np.array([0, 0, 1.0])
+        complete(scan, count=0 if fault == "count" else 8, table=table)
