@@ -77,7 +77,8 @@ def main() -> None:
             address = viewer.stdout.readline().split()[0]
             browser = playwright.chromium.launch(executable_path=which("chromium"), args=FLAGS)
             page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
-            page.goto(address)
+            # Also without a graphics card everything is drawn.
+            page.goto(f"{address}&drawing=full")
             page.wait_for_timeout(8000)
             make_pictures(page)
             browser.close()

@@ -35,14 +35,14 @@ class Batch:
     """Their object and scale, with the grasps as they stand."""
 
 
-def batches(collection: Collection, works: Mapping[int, Work]) -> Iterator[Batch]:
-    """Yield the grasps of some works as they stand, object by object, in batches."""
+def batches(collection: Collection, works: Mapping[int, Work], size: int = BATCH_SIZE) -> Iterator[Batch]:
+    """Yield the grasps of some works as they stand, object by object, in batches of at most `size`."""
     kinds: dict[tuple[int, bool], list[int]] = {}
     for number, work in sorted(works.items()):
         kinds.setdefault((int(collection.group_of[number]), bool(work.targets)), []).append(number)
     for numbers in kinds.values():
-        for start in range(0, len(numbers), BATCH_SIZE):
-            some = tuple(numbers[start : start + BATCH_SIZE])
+        for start in range(0, len(numbers), size):
+            some = tuple(numbers[start : start + size])
             group = collection.group(some[0])
             row = collection.member[list(some)]
             scene = stacked([posed_scene(group.scene, works[n].standing, works[n].targets) for n in some])

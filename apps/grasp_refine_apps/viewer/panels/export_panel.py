@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import html
 import io
+import shutil
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -16,9 +19,11 @@ from PIL import Image
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import inverse, transform_points
+from grasp_refine.export.targets import TARGETS, export
 from grasp_refine.geometry.units import NAMES
 from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.objects.region import ContactRegions, Faces
+from grasp_refine.problem.exports import exported_grasps
 from grasp_refine_apps.viewer.drawing.camera import FirstCamera
 from grasp_refine_apps.viewer.files.animation import animation_html, film_of
 from grasp_refine_apps.viewer.files.gif import RENDER_TIMEOUT_S, SETTLE_S, recorded_gif
@@ -26,6 +31,7 @@ from grasp_refine_apps.viewer.files.opening import HOLE_LABELS, MeshOptions, Ope
 from grasp_refine_apps.viewer.files.saved_results import with_results
 from grasp_refine_apps.viewer.files.saving import Saved, grasp_file, grasp_set, grasp_sets
 from grasp_refine_apps.viewer.files.uploads import MAX_UPLOAD_BYTES, UPLOAD_SUFFIXES, Uploads, shown_name, too_large
+from grasp_refine_apps.viewer.jobs.batches import batches
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.jobs.store import BUSY_MESSAGE
 from grasp_refine_apps.viewer.jobs.worker import Control
@@ -97,6 +103,12 @@ class ExportPanel:
             self.save_all = gui.add_button(
                 "Save them all", icon=viser.Icon.DOWNLOAD, hint="Download these grasps as they stand, in this format"
             )
+            self.program = gui.add_dropdown("Program", TARGETS, hint="What the next button writes a folder for")
+            self.export = gui.add_button(
+                "Export for this program",
+                icon=viser.Icon.PACKAGE_EXPORT,
+                hint="Download a zip of the folder that refine-grasp export writes for it, with the grasps of Several",
+            )
             self.faces = gui.add_button(
                 "Painted faces (TXT)",
                 icon=viser.Icon.DOWNLOAD,
@@ -124,6 +136,7 @@ class ExportPanel:
         on_change(self.shelf, self._reopen)
         self.save.on_click(self._save_grasp)
         self.save_all.on_click(self._save_several)
+        self.export.on_click(self._export)
         self.faces.on_click(self._send_faces)
         self.picture.on_click(self._send_picture)
         self.animation.on_click(self._animate)
@@ -239,6 +252,33 @@ class ExportPanel:
             self._controller.grasps.mark_saved({number: one.standing for number, one in works.items()})
             notes = "".join(f"; {note}" for note in saved.notes)
             self._controller.notify(f"{count_text(len(works), 'grasp')} saved as {saved.name}{notes}")
+
+        self._run("export", what, work)
+
+    def _export(self, event: viser.GuiEvent) -> None:
+        """Send the folder of all chosen grasps as they stand for another program, as a zip."""
+        now, to, client = self._controller.state, str(self.program.value), event.client
+        if client is None:
+            return
+        every = {n: now.works.get(n) or now.collection.work(n) for n in chosen(now, self.which.value)}
+        # Forces and closing motions are made for the grasps as they stand.
+        works = {n: replace(work, targets=()) for n, work in every.items() if work.standing.posed}
+        if not works:
+            self._controller.notify(f"no grasp that can be drawn is {self.which.value}: choose others", bad=True)
+            return
+        what = f"exporting {count_text(len(works), 'grasp')} for {to}"
+
+        def work(control: Control) -> None:
+            control.describe(what)
+            collection = self._controller.background.cut_all(works, control)
+            groups = tuple(batch.group for batch in batches(collection, works, len(works)))
+            parts = exported_grasps(replace(collection.problem, groups=groups), closing="own")
+            control.check()
+            with TemporaryDirectory() as folder:
+                name = f"{file_stem(collection.hand.name)}_{to}"
+                export(parts, to, Path(folder) / name)
+                packed = shutil.make_archive(str(Path(folder) / "packed"), "zip", folder, name)
+                self._send(client, Saved(f"{name}.zip", Path(packed).read_bytes()))
 
         self._run("export", what, work)
 

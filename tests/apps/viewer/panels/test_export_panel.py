@@ -1,7 +1,9 @@
 """The tab "Files" with a real server and a client that uploads, clicks and downloads as a browser does."""
 
+import csv
 import io
 import threading
+import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -336,3 +338,17 @@ def test_a_mesh_has_a_scale(shown: Shown):
     until(lambda: shown.controller.state.scene.object.name == "box")
     size = np.ptp(shown.controller.state.scene.object.mesh.vertices, axis=0)
     np.testing.assert_allclose(size, 1.5 * np.array([0.04, 0.05, 0.06]), rtol=1e-6)
+
+
+def test_grasps_as_they_stand_are_exported_for_a_program(shown: Shown):
+    controller, panel = shown.controller, shown.panel
+    controller.editor.set_joint(2, 0.2)
+    shown.one.change(panel.program, "csv")
+    shown.one.change(panel.export, True)
+    name, content = shown.one.download()
+    assert name == "allegro_csv.zip"
+    files = zipfile.ZipFile(io.BytesIO(content))
+    (readme,) = (one for one in files.namelist() if one.endswith("README.md"))
+    table = next(one for one in files.namelist() if one.endswith("grasps.csv"))
+    (row,) = csv.DictReader(io.StringIO(files.read(table).decode()))
+    assert readme and float(row[controller.state.collection.hand.joint_names[2]]) == pytest.approx(0.2)
