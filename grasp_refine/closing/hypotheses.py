@@ -32,6 +32,10 @@ IN_THE_WAY_M = (0.004, 0.02)
 """Depth in metres of a link in a solid where closing ends, up to which a grasp keeps its quality, and from which on it
 has none: the hand pushes the object away by as much."""
 
+DISTRUST = 2.0
+"""Exponent of the mean quality over the solids: the object is none of them exactly. Of 96 grasps on six objects, seen
+once, 72 % held, where the mean promised 80 % and its square 66 %; `bench scans` checks it on others."""
+
 
 @dataclass(frozen=True, eq=False)
 class Ends:
@@ -94,6 +98,10 @@ class Ends:
             found.append((closed[at], mean, near[at], witness.point_b, witness.normal))
         return Ends(T_open, q_open, *(np.stack(parts, axis=1) for parts in zip(*found, strict=True)))
 
+    def probability(self, weights: Float[np.ndarray, " K"]) -> Float[np.ndarray, " N"]:
+        """Return the probability (N,) that the hand holds the object, given the probability of each solid (K,)."""
+        return (self.value @ weights) ** DISTRUST
+
     def motion(self, scene: Scene, solids: tuple[HandObject, ...], *, pressure: float | None = None) -> Motion:
         """Return the motion that closes the hands: to where the most probable solid stops them, and beyond.
 
@@ -129,7 +137,7 @@ def best_attempt(
         weights: Probability of each solid.
         config: Settings of the refinement.
     """
-    probability = np.stack([each.value @ weights for each in ends])
+    probability = np.stack([each.probability(weights) for each in ends])
     choice = np.round(probability, 6).argmax(axis=0)
     if config.prefer == "strongest":
         return choice

@@ -71,7 +71,7 @@ def refine_scanned(
         row=group.rows,
         index=group.index,
     )
-    probability = np.stack([each.value @ obj.weights for each in (ends[0], kept)], axis=1)
+    probability = np.stack([each.probability(obj.weights) for each in (ends[0], kept)], axis=1)
     measures = {**outcome.measures, QUALITY.name: np.where(scene.posed[:, None], probability, np.nan)}
     unseen = _not_seen(scene, kept, measures)
     weakness = np.array([new or old for new, old in zip(unseen, outcome.weakness.tolist(), strict=True)], dtype=np.str_)

@@ -146,7 +146,7 @@ def test_the_nearest_good_attempt_is_kept_or_the_most_probable(scene: Scene, end
     weights = np.array([0.5, 0.3, 0.2])
     found = [
         attempt(scene, ends, [[1.0, 0.0, 0.0], [0.9, 0.9, 0.9], [0.0, 0.0, 0.0]], 0.0),
-        attempt(scene, ends, [[0.96, 0.96, 0.96], [1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], 0.001),
+        attempt(scene, ends, [[0.98, 0.98, 0.98], [1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], 0.001),
         attempt(scene, ends, [[1.0, 1.0, 1.0], [0.94, 0.94, 0.94], [0.1, 0.0, 0.0]], 0.01),
     ]
     best = best_attempt(scene, *map(list, zip(*found, strict=True)), weights, Config(prefer=prefer))
