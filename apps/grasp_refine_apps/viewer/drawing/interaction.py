@@ -53,6 +53,11 @@ class Interaction:
         """The gizmo that is shown, by the body that it moves."""
         self._picking = self._painting = False
         self._dragged = -np.inf
+        self._read: tuple[str, np.ndarray] | None = None
+        """Link that is read, and the clicked point on it (3,), link frame."""
+        self.label: Any = None
+        """Text on that link; None: there is none."""
+        self._click = scene.on_click()(self._clicked_anywhere)
         self._drag = 0
         """Number of the present drag."""
 
@@ -61,6 +66,7 @@ class Interaction:
         if state.picking != self._picking:
             self._picking = state.picking
             self._listen(state.picking)
+        self._draw_reading(state)
         self._listen_to_brush(state.brush != "off" and state.motion is None)
         for kind in [kind for kind in self.gizmos if kind != state.gizmo]:
             self.gizmos.pop(kind).remove()
@@ -117,6 +123,39 @@ class Interaction:
             # The visual mesh may differ from the collision geometry.
             self._controller.targets.pick_link(shape.link, hit if body is None else nearest_on_surface(body, hit))
 
+    def _clicked_anywhere(self, event: Any) -> None:
+        """Read the first link on the ray of a click; a click elsewhere, or once more, removes the text."""
+        state = self._controller.state
+        if state.picking or state.motion is not None or not state.shown.posed:
+            return
+        T = self._hand.poses(state.shown.T_object_root, state.shown.q)
+        origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
+        hits = []
+        for shape in self._hand.shapes:
+            T_link = state.T_world_object @ T[shape.link]
+            ray = _ray_in_frame(T_link, origin, direction)
+            hit = hit_mesh(*ray, shape.vertices, shape.faces)
+            if hit is not None:
+                hits.append((float(np.linalg.norm(hit - ray[0])), shape.link, hit))
+        _, link, point = min(hits, key=lambda one: one[0], default=(0.0, "", np.zeros(3)))
+        self._read = (link, point) if link and (self._read is None or self._read[0] != link) else None
+        self._draw_reading(state)
+
+    def _draw_reading(self, state: State) -> None:
+        """Draw the text on the link that is read."""
+        read = self._read if state.motion is None and state.shown.posed else None
+        if read is None:
+            if self.label is not None:
+                self.label.remove()
+                self.label = None
+            return
+        link, point = read
+        text = self._controller.contacts(state).reading(link, state.pressure_n)
+        T = state.T_world_object @ self._hand.poses(state.shown.T_object_root, state.shown.q)[link]
+        if self.label is None:
+            self.label = self._scene.add_label("/reading", text)
+        self.label.text, self.label.position = text, transform_points(T, point)
+
     def _clicked_object(self, origin: np.ndarray, direction: np.ndarray) -> None:
         state = self._controller.state
         point = None if state.motion is not None else self._on_surface(state, origin, direction)
@@ -154,7 +193,10 @@ class Interaction:
         self._controller.regions.paint(Camera(T, camera.fov, camera.aspect, event.screen_min, event.screen_max))
 
     def remove(self) -> None:
-        """Remove the gizmos, and listen no longer."""
+        """Remove the gizmos and the text, and listen no longer."""
+        self._scene.remove_click_callback(self._click)
+        if self.label is not None:
+            self.label.remove()
         self._listen_to_brush(False)
         for node in self.gizmos.values():
             node.remove()

@@ -99,6 +99,28 @@ class Contacts:
         near = np.isfinite(points.point[0, :, 0])
         return Forces(points.point[0, near], points.normal[0, near], found.force[0, near])
 
+    def reading(self, link: str, pressure_n: float) -> str:
+        """Return name, gap or depth, and force of a link in words; a link with a gap has no force.
+
+        Args:
+            link: Name of a link of the hand.
+            pressure_n: Sum of all normal forces in newtons.
+        """
+        links = self.prepared.chain.links
+        if link not in links or not self.witness.valid[0, links.index(link)]:
+            return f"{link}: not near the object"
+        at = links.index(link)
+        distance = float(self.witness.distance[0, at])
+        side = "touches" if abs(distance) <= CONTACT_TOLERANCE_M else "gap" if distance > 0 else "depth"
+        text = f"{link}: {side}" + ("" if side == "touches" else f" {1e3 * abs(distance):.2f} mm")
+        if side == "gap":
+            return text
+        points = self._points
+        found = grasp_forces(points, self.prepared.object, self.frames.T_world_root[:, :3, :3]).force[0]
+        force = np.nansum(found[(points.link[0] == at) & np.isfinite(points.point[0, :, 0])], axis=0)
+        newtons = pressure_n * float(np.linalg.norm(force))
+        return f"{text}, {newtons:.1f} N" if newtons > 0 else text
+
     @cached_property
     def patches(self) -> tuple[Patch, ...]:
         """Patches where flat faces of links and object meet; none for hands and objects without such faces."""

@@ -389,3 +389,31 @@ def test_a_simulation_moves_the_object_and_shows_the_push(
     view.draw(viewer.state)
     np.testing.assert_allclose(pose(nodes.object_frame), np.eye(4), atol=1e-12)
     assert nodes.push.node is None
+
+
+def test_a_click_on_a_link_reads_its_distance_and_force_and_another_one_ends_that(
+    view: View, viewer: Controller
+) -> None:
+    viewer.refinement.start()
+    settled(viewer)
+    view.draw(viewer.state)
+    found, interaction = view.contacts, view.nodes.interaction
+    middle = np.mean(view.nodes.prepared.box, axis=0)
+    # From inside the object outwards through each contact lies the link that touches there.
+    for link, point in zip(found.link, found.point_link, strict=True):
+        if not link.endswith("_tip"):
+            # It touches at its rim, beside a tip.
+            continue
+        outwards = (point - middle) / np.linalg.norm(point - middle)
+        interaction._clicked_anywhere(SimpleNamespace(ray_origin=point - 0.01 * outwards, ray_direction=outwards))
+        assert interaction.label.text.startswith(f"{link}: touches")
+        np.testing.assert_allclose(interaction.label.position, point, atol=3e-3)
+    newtons = sum(float(found.reading(link, 30.0).rpartition(", ")[2].split()[0]) for link in found.link)
+    # Links with small gaps press, too; forces in the corners of a patch add up to at most their sum.
+    every = 30.0 * np.linalg.norm(found.forces.force, axis=1).sum()
+    assert 0.5 * every < newtons < every + 0.3
+    viewer.editor.move_root(transform(np.eye(3), np.array([0.0, 0.0, 1.0])) @ viewer.state.pose.T_object_root)
+    view.draw(viewer.state)
+    assert " mm" in interaction.label.text or "not near" in interaction.label.text
+    interaction._clicked_anywhere(SimpleNamespace(ray_origin=np.ones(3), ray_direction=np.ones(3)))
+    assert interaction.label is None
