@@ -10,6 +10,7 @@ from grasp_refine.closing.motion import Motion
 from grasp_refine.closing.pregrasp import open_hand
 from grasp_refine.closing.stopped import close_until_stopped
 from grasp_refine.core.array_types import Bool, Float
+from grasp_refine.forces.quality import quality
 from grasp_refine.forces.squeeze import CONTACTS, squeeze
 from grasp_refine.geometry.sphere_points import on_sphere
 from grasp_refine.hands.displacement import Displacement
@@ -17,7 +18,6 @@ from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.frozen import Frozen
 from grasp_refine.refinement.gap_closing import RELEASE_GAP_M
-from grasp_refine.refinement.judging import judge
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
@@ -78,6 +78,7 @@ class Ends:
         q_open = np.where(fixed, q, q_open)
         q_end = np.where(fixed, q, np.clip(q_open + REACH * (q - q_open), hand.lower, hand.upper))
         shifts = POSE_ERROR_M * on_sphere(2 * len(solids)).reshape(-1, 2, 3)[:, 0]
+        gap = clearances(config, hand, solids[0].chain)
         found = []
         for prepared, shift in zip(solids, shifts, strict=True):
             chain, links = prepared.chain, prepared.chain.links
@@ -87,9 +88,10 @@ class Ends:
             from_open, to_end = np.tile(q_open, (3, 1)), np.tile(q_end, (3, 1))
             closed = from_open + close_until_stopped(prepared, T_each, from_open, to_end) * (to_end - from_open)
             frames = chain(T_each, closed)
-            value = judge(prepared, frames, clearances(config, hand, chain), scene.demand)[2]
             cutoff = CONTACTS.cutoff(hand, links)
             witness = prepared.query(np.zeros(len(T_each), dtype=np.int64), frames.T_world_link, cutoff=cutoff)
+            known = hand, prepared.object, chain, frames, witness, gap, prepared.faces
+            value = np.nan_to_num(quality(*known, demand=scene.demand).value)
             depth = np.where(witness.valid, -witness.distance, 0.0).max(axis=1, initial=0.0)
             value *= np.interp(depth, IN_THE_WAY_M, (1.0, 0.0))
             near = CONTACTS.choose(hand, links, witness) & (witness.distance <= RELEASE_GAP_M)
