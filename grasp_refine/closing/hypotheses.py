@@ -64,7 +64,7 @@ class Ends:
         beyond it, until the solid stops it.
 
         Args:
-            scene: Grasps on the most probable solid, any of which may be in the solid, or away from it.
+            scene: Grasps on the first solid, any of which may be in the solid, or away from it.
             config: Settings of the refinement.
             solids: The hand with each solid.
             envelope: The hand with the union of all solids.
@@ -105,12 +105,12 @@ class Ends:
         return (self.value @ weights) ** DISTRUST
 
     def motion(self, scene: Scene, solids: tuple[HandObject, ...], *, pressure: float | None = None) -> Motion:
-        """Return the motion that closes the hands: to where the most probable solid stops them, and beyond.
+        """Return the motion that closes the hands: to where the first solid stops them, and beyond.
 
         The squeeze presses on all solids: the thinnest decides how far each joint closes.
 
         Args:
-            scene: Grasps on the most probable solid, as the hands end there.
+            scene: Grasps on the first solid, as the hands end there.
             solids: The hand with each solid.
             pressure: As for `squeeze`.
         """

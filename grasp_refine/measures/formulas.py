@@ -215,7 +215,7 @@ def quality_value(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
 
 
 def likely_quality(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
-    """Return `quality_value` (N,) on the most probable completion of a scanned object; NaN for other objects."""
+    """Return `quality_value` (N,) on the first completion of a scanned object; NaN for other objects."""
     return quality_value(grasps) if grasps.object.hypotheses else np.full(len(grasps), np.nan)
 
 

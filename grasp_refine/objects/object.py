@@ -76,7 +76,7 @@ class Object:
     """Object for which this one, its convex hull, stands until that is decomposed; None: it stands for none."""
 
     scan: Scan | None = None
-    """Scan of which this is the most probable completion; None: its surface is known."""
+    """Scan of which this is the first completion; None: its surface is known."""
     hypotheses: tuple[Hypothesis, ...] = ()
     """Solids that a scanned object may be; the first stands for all."""
     record: Mapping[str, Any] | None = None
@@ -134,7 +134,7 @@ class Object:
 
     @cached_property
     def solids(self) -> tuple[Object, ...]:
-        """Solids that a scanned object may be, as objects: itself, the most probable one, comes first."""
+        """Solids that a scanned object may be, as objects: itself first."""
         return self, *(self._solid(f"{self.name}, {other.kind}", other.pieces) for other in self.hypotheses[1:])
 
     @cached_property
@@ -202,7 +202,7 @@ def load_object(
     either, and the pieces of the embedded objects come with the program.
 
     A scan is a point cloud (PLY, PCD, XYZ, NPZ), a depth picture (PNG, NPY, NPZ), `points` in memory, or a mesh that is
-    open where `seen_from` or `camera` is given. The object is then the most probable of several `hypotheses` of the
+    open where `seen_from` or `camera` is given. The object is then the first of several `hypotheses` of the
     solid that was seen:
 
         gr.load_object("scan.ply", seen_from=(0, 0, 0.5))
@@ -338,12 +338,12 @@ def load_object(
 def scanned_object(
     name: str, scan: Scan, hypotheses: tuple[Hypothesis, ...], *, candidates: int = 1024, seed: int = 0
 ) -> Object:
-    """Return the object of a scan: its most probable completion, which knows the scan and all completions.
+    """Return the object of a scan: its first completion, which knows the scan and all completions.
 
     Args:
         name: Name of the object.
         scan: The scan.
-        hypotheses: Completions, the most probable first.
+        hypotheses: Completions; the first stands for all.
         candidates: Number of points on the surface of each.
         seed: Seed of these points.
     """

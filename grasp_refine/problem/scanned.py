@@ -91,7 +91,7 @@ def _on_each(
 
 
 def _not_seen(scene: Scene, ends: Ends, measures: dict[str, np.ndarray]) -> list[str]:
-    """Return a text on each grasp that would hold the most probable solid but not enough of the others; else empty."""
+    """Return a text on each grasp that would hold the first solid but not enough of the others; else empty."""
     obj = scene.object
     views = None if obj.scan is None else next_views(obj.scan, ends, obj.weights)
     held, likely = measures[QUALITY.name][:, 1], measures[LIKELY_QUALITY.name][:, 1]

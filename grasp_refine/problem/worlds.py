@@ -34,7 +34,7 @@ def worlds_of(
     for note in model.notes:
         on_note(note)
     for name in sorted({group.object for group in problem.groups if len(group.scene.object.hypotheses) > 1}):
-        on_note(f"{name}: simulated as its most probable solid, whose quality validations show")
+        on_note(f"{name}: simulated as the first solid that it may be, whose quality validations show")
     worlds = []
     for scene in (group.scene for group in problem.groups):
         setting = scene.object, scene.task.for_simulation

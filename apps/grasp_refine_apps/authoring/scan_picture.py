@@ -56,7 +56,7 @@ def draw() -> UInt8[np.ndarray, "H W 3"]:
     far = Camera.fitted(side, np.concatenate([around, *(model.vertices for model in drawn)]), size, size, 0.2)
     panels = (
         ("Depth and mask", _depth(depth, mask)),
-        ("Seen points, most probable solid", _solid(obj, near)),
+        ("Seen points, first solid", _solid(obj, near)),
         (f"Grasp: {refined.quality[best, 1]:.0%} to hold", photograph([*drawn, object_model(obj, 0.8)], far, _light())),
     )
     for title, panel in panels:
@@ -82,7 +82,7 @@ def _depth(depth: np.ndarray, mask: np.ndarray) -> Image.Image:
 
 
 def _solid(obj: Object, camera: Camera) -> Image.Image:
-    """Return the most probable solid, with the points that were seen."""
+    """Return the first solid, with the points that were seen."""
     assert obj.scan is not None
     panel = photograph([object_model(obj, 0.6)], camera, _light())
     pen = ImageDraw.Draw(panel)

@@ -131,7 +131,7 @@ class Measured:
     quality: np.ndarray
     """Quality (N,) that was promised; NaN: none."""
     likely: np.ndarray
-    """Quality (N,) on the most probable completion; NaN: there is only one."""
+    """Quality (N,) on the first completion; NaN: there is only one."""
     held: np.ndarray
     """Whether each grasp (N,) held on the true object."""
     motion: Motion | None = None
