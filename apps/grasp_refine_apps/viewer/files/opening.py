@@ -115,7 +115,7 @@ def _for_uploader(text: str, upload: Upload) -> str:
         for holes, words in HOLE_LABELS.items():
             text = text.replace(f"`holes='{holes}'`", f'Mesh holes "{words}"')
         text = text.replace("another `scale`", "another Mesh scale")
-        text = text.replace("`seen_from`", "--seen-from of the command")
+        text = text.replace("`seen_from`", "seen-from of the command line")
     return text if text.startswith(upload.name) else f"{upload.name}: {text}"
 
 

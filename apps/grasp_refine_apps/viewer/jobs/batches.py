@@ -35,8 +35,9 @@ class Batch:
     """Their object and scale, with the grasps as they stand."""
 
 
-def batches(collection: Collection, works: Mapping[int, Work], size: int = BATCH_SIZE) -> Iterator[Batch]:
-    """Yield the grasps of some works as they stand, object by object, in batches of at most `size`."""
+def batches(collection: Collection, works: Mapping[int, Work], size: int = 0) -> Iterator[Batch]:
+    """Yield the grasps of some works as they stand, object by object, in batches of at most `size`; 0: `BATCH_SIZE`."""
+    size = size or BATCH_SIZE
     kinds: dict[tuple[int, bool], list[int]] = {}
     for number, work in sorted(works.items()):
         kinds.setdefault((int(collection.group_of[number]), bool(work.targets)), []).append(number)
