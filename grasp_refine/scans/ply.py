@@ -58,8 +58,7 @@ def read_ply(path: Path) -> Cloud:
             return cloud_of_columns(dict(zip(wanted, values.T, strict=True)), count, path)
         kind = np.dtype([(name, f"{order}{kind}") for name, kind in properties])
         start = file.tell()
-        found = (path.stat().st_size - start) // max(kind.itemsize, 1)
-        _check_complete(found, count, path)
+        _check_complete((path.stat().st_size - start) // max(kind.itemsize, 1), count, path)
         if count == 0:
             return cloud_of_columns({name: np.zeros(0) for name in wanted}, 0, path)
         rows = np.memmap(file, kind, "r", offset=start, shape=(count,))[:: every(count)]
