@@ -59,7 +59,7 @@ class LeRobot:
         Raises:
             GraspRefineError: no grasp has a pose and joint values that are finite, or pyarrow is not installed.
         """
-        _check_pyarrow(folder)
+        _check_pyarrow()
         plans = plan_motions(grasps.scene, grasps.motion)
         rows = [row for row, plan in enumerate(plans) if plan.direction is not None]
         if not rows:
@@ -95,13 +95,11 @@ class LeRobot:
         )
 
 
-def _check_pyarrow(folder: Path) -> None:
+def _check_pyarrow() -> None:
     try:
         import pyarrow.parquet  # noqa: F401
     except ImportError:
-        raise GraspRefineError(
-            f'{folder}: a LeRobot data set needs pyarrow; pip install "grasp-refine[parquet]"'
-        ) from None
+        raise GraspRefineError('a LeRobot data set needs pyarrow: pip install "grasp-refine[parquet]"') from None
 
 
 def _frames(grasps: ExportedGrasps, moved: Trajectory) -> dict[str, np.ndarray]:

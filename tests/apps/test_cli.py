@@ -300,7 +300,7 @@ def test_bad_meshes_are_refused(inputs: Path, capfd: pytest.CaptureFixture[str])
         (empty, ()),
         (write_mesh(inputs / "nan.obj", lost), ("1 of its 8 vertices",)),
         (write_mesh(inputs / "flat.obj", flat), ("1e-06",)),
-        (inputs / "thing.xyz", ("'.xyz'", ".obj, .stl")),
+        (inputs / "thing.skp", ("'.skp'", ".obj, .stl")),
     ):
         answer = refused(capfd, "run", "--object", mesh, "--object-name", "rounded_box", "--json", "r.json")
         assert_names(answer, mesh, *named)

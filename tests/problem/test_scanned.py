@@ -78,7 +78,7 @@ def test_another_view_is_wanted_where_unseen_contacts_face(scan: Scan):
     normal = np.tile([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], (1, 2, 1, 1))
     touching = np.ones((1, 2, 2), dtype=bool)
     none = np.zeros((1, 2))
-    ends = Ends(np.eye(4)[None], none, none[None], none, touching, point, normal)
+    ends = Ends(np.eye(4)[None], none, np.zeros((1, 2, 2)), none, touching, point, normal)
     weights = np.array([0.7, 0.3])
     assert next_views(scan, ends, weights)[0] == pytest.approx([-1.0, 0.0, 0.0])
     seen = replace(ends, touching=touching & [True, False])

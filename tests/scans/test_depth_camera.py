@@ -129,7 +129,7 @@ def test_masks_are_off_at_their_borders_only():
 
 def test_exact_pictures_give_points_and_normals_of_the_ball(ball_views):
     poses, depths = ball_views
-    scan = scan_of_depth(depths, None, D435, poses)
+    scan = scan_of_depth(depths, None, D435, list(poses))
     radius = np.linalg.norm(scan.points, axis=1)
     np.testing.assert_allclose(radius, BALL_M, atol=5e-5)
     assert ((scan.points / radius[:, None] * scan.normals).sum(axis=1) > np.cos(np.radians(5))).mean() > 0.95
@@ -144,7 +144,7 @@ def test_noisy_pictures_give_points_within_the_noise(ball_views):
     poses, depths = ball_views
     pictures = [with_noise(depth, seed) for seed, depth in enumerate(depths)]
     masks = [with_mask_errors(depth > 0, seed) for seed, depth in enumerate(depths)]
-    scan = scan_of_depth(pictures, masks, D435, poses)
+    scan = scan_of_depth(pictures, masks, D435, list(poses))
     off = np.linalg.norm(scan.points, axis=1) - BALL_M
     assert np.std(off) < 1.3 * scan.noise_m
     assert (np.abs(off) < 4 * scan.noise_m).mean() > 0.99

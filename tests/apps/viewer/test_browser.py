@@ -208,8 +208,8 @@ def test_keys_step_and_mark_and_typing_is_no_command(viewer: Viewer, page: Viser
     until(lambda: made.state.number == 1, "the next grasp")
     wait_for_pose(viewer, page, made.state.pose)
     np.testing.assert_allclose(page.camera()[:3, 3], away[:3, 3], atol=0.02)
-    press(page, "f")
-    until(lambda: not np.allclose(page.camera()[:3, 3], away[:3, 3], atol=0.08), "the camera back at hand and object")
+    back = "the camera back at hand and object"
+    act(lambda: press(page, "f"), lambda: not np.allclose(page.camera()[:3, 3], away[:3, 3], atol=0.08), back)
 
 
 def test_clicks_on_the_table_sort_and_open(viewer: Viewer, page: ViserPage) -> None:

@@ -155,7 +155,7 @@ def _interval(name: str, held: np.ndarray) -> Row:
     keys = name, f"{name}_lower", f"{name}_upper"
     if not len(held):
         return dict.fromkeys(keys)
-    lower, upper = wilson(held.sum(), len(held))
+    lower, upper = wilson(np.asarray(held.sum()), len(held))
     return dict(zip(keys, (float(held.mean()), float(lower), float(upper)), strict=True))
 
 

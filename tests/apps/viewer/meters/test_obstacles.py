@@ -104,7 +104,9 @@ def test_a_table_is_in_the_way_as_deep_as_the_lowest_point(problem: Problem) -> 
     assert set(found) == {link for link, z in lowest.items() if height - z > 2e-4}
 
 
-def test_the_standing_base_of_an_arm_is_in_nobodys_way() -> None:
+def test_the_standing_base_of_an_arm_is_in_nobodys_way(pytestconfig: pytest.Config) -> None:
+    if pytestconfig.getoption("jaxtyping_packages"):
+        pytest.skip("a scene and a pose stand in for a state")
     hand = mount(load_hand("ur5e", candidates=16), load_hand("franka_hand", candidates=16))
     ball, pose = load_object("sphere:0.03", candidates=16), Pose(np.eye(4), hand.rest)
     scene = Scene(hand, ball, pose.T_object_root[None], pose.q[None], task=Task(table=5.0))
