@@ -5,7 +5,6 @@ The layout is that of `lerobot.datasets` 0.4, whose class reads the folder: http
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.json_files import save_bytes, save_json
+from grasp_refine.core.json_files import save_json
 from grasp_refine.core.plurals import first_of
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.export.exported import ExportedGrasps
@@ -25,6 +24,7 @@ from grasp_refine.grasps.grasp_set import POSE_COLUMNS
 from grasp_refine.motion.plan import plan_motions
 from grasp_refine.motion.trajectory import PERIOD_S, Trajectory
 from grasp_refine.motion.trajectory_context import all_values
+from grasp_refine.results.validation_document import save_parquet
 
 FPS = round(1.0 / PERIOD_S)
 """Frames a second: every set point of a trajectory is one."""
@@ -196,7 +196,6 @@ def _save_parquet(
 ) -> None:
     """Write columns as Parquet; `floats`: numbers with a fraction in single precision."""
     import pyarrow
-    import pyarrow.parquet
 
     table = pyarrow.table(columns)
     if floats:
@@ -209,6 +208,4 @@ def _save_parquet(
         )
     if metadata is not None:
         table = table.replace_schema_metadata(metadata)
-    buffer = io.BytesIO()
-    pyarrow.parquet.write_table(table, buffer)
-    save_bytes(path, buffer.getvalue())
+    save_parquet(path, table)

@@ -136,6 +136,15 @@ class Piece:
         return trimesh.Trimesh(core.vertices, core.faces, process=False)
 
 
+def joined_mesh(pieces: Sequence[Piece]) -> trimesh.Trimesh:
+    """Return the surfaces of pieces as one mesh for display."""
+    import trimesh
+
+    whole = trimesh.util.concatenate([piece.mesh() for piece in pieces])
+    assert isinstance(whole, trimesh.Trimesh)
+    return whole
+
+
 def hull(points: ArrayLike, *, name: str = "convex piece") -> Piece:
     """The convex hull of `points` (N, 3) as a polytope piece.
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from grasp_refine.core.errors import AssetError, MeshError
 from grasp_refine.core.names import is_folder
 from grasp_refine.geometry.mesh import SUFFIXES, FlatMeshError, load_groups, load_mesh, watertight
-from grasp_refine.geometry.pieces import Piece, hull
+from grasp_refine.geometry.pieces import Piece, hull, joined_mesh
 
 if TYPE_CHECKING:
     import trimesh
@@ -94,16 +94,12 @@ def surface(folder: Path, pieces: Sequence[Piece], scale: float) -> tuple[trimes
     Raises:
         MeshError: the surface in `folder` is unreadable, flat or empty.
     """
-    import trimesh
-
     path = folder / SURFACE
     others = _meshes(path.parent)
     if not path.is_file() and len(others) == 1:
         (path,) = others
     if not path.is_file():
-        whole = trimesh.util.concatenate([piece.mesh() for piece in pieces])
-        assert isinstance(whole, trimesh.Trimesh)
-        return whole, ()
+        return joined_mesh(pieces), ()
     mesh = load_mesh(path, scale)
     try:
         return watertight(mesh, path.name)

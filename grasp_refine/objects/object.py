@@ -20,7 +20,7 @@ from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import SUFFIXES, Holes, is_convex, load_mesh, mesh_of, watertight
-from grasp_refine.geometry.pieces import Cut, Piece, cut_meshes, hull
+from grasp_refine.geometry.pieces import Cut, Piece, cut_meshes, hull, joined_mesh
 from grasp_refine.geometry.sampling import check_drawing
 from grasp_refine.geometry.shapes import EMBEDDED, primitive, primitive_pieces
 from grasp_refine.geometry.surface_distance import surface_note
@@ -347,14 +347,10 @@ def scanned_object(
         candidates: Number of points on the surface of each.
         seed: Seed of these points.
     """
-    import trimesh
-
     pieces = hypotheses[0].pieces
-    mesh = trimesh.util.concatenate([piece.mesh() for piece in pieces])
-    assert isinstance(mesh, trimesh.Trimesh)
     return Object(
         name,
-        mesh,
+        joined_mesh(pieces),
         len(pieces) == 1,
         supplied=pieces,
         candidates=candidates,

@@ -218,6 +218,19 @@ def check_table(path: Path) -> None:
             ) from None
 
 
+def save_parquet(path: Path, table: Any) -> None:
+    """Write a table of pyarrow as Parquet; the file appears whole or not at all.
+
+    Raises:
+        GraspRefineError: the file cannot be written.
+    """
+    import pyarrow.parquet
+
+    buffer = io.BytesIO()
+    pyarrow.parquet.write_table(table, buffer)
+    save_bytes(path, buffer.getvalue())
+
+
 def save_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write flat rows as CSV or Parquet, by the suffix; the file appears whole or not at all.
 
@@ -229,11 +242,8 @@ def save_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     check_table(path)
     if path.suffix.lower() == ".parquet":
         import pyarrow
-        import pyarrow.parquet
 
-        buffer = io.BytesIO()
-        pyarrow.parquet.write_table(pyarrow.Table.from_pylist(list(rows)), buffer)
-        save_bytes(path, buffer.getvalue())
+        save_parquet(path, pyarrow.Table.from_pylist(list(rows)))
         return
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")

@@ -101,7 +101,7 @@ class Measurement:
         """Return grasps refined in some way, not tried yet."""
         count = len(grasps)
         began = cpu_seconds()
-        nothing = Measured(way, np.full(count, np.nan), np.full(count, np.nan), np.zeros(count, dtype=bool))
+        nothing = Measured(way, np.full(count, np.nan), np.zeros(count, dtype=bool))
         try:
             obj = object_for(way, true, scan, count=self.hypotheses, seed=self.seed)
         except GraspRefineError as error:
@@ -115,7 +115,6 @@ class Measurement:
         return Measured(
             way,
             outcome.quality[:, 1],
-            outcome["likely_quality"][:, 1],
             nothing.held,
             outcome.motion,
             completion_s=completed - began,
@@ -130,8 +129,6 @@ class Measured:
     way: Way
     quality: np.ndarray
     """Quality (N,) that was promised; NaN: none."""
-    likely: np.ndarray
-    """Quality (N,) on the first completion; NaN: there is only one."""
     held: np.ndarray
     """Whether each grasp (N,) held on the true object."""
     motion: Motion | None = None

@@ -10,7 +10,7 @@ import numpy as np
 
 from grasp_refine.core.array_types import Float, Float32, Int, UInt32
 from grasp_refine.core.errors import HandError
-from grasp_refine.geometry.pieces import Piece
+from grasp_refine.geometry.pieces import Piece, joined_mesh
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.files.visuals import load_visuals
 from grasp_refine.hands.hand import Hand
@@ -132,11 +132,7 @@ def object_shapes(obj: Object, kind: Literal["mesh", "pieces"]) -> tuple[Shape, 
 
 def pieces_shape(pieces: Sequence[Piece], color: Color) -> Shape:
     """Return convex pieces as one shape."""
-    import trimesh
-
-    whole = trimesh.util.concatenate([piece.mesh() for piece in pieces])
-    assert isinstance(whole, trimesh.Trimesh)
-    return Shape(*_arrays(whole), color)
+    return Shape(*_arrays(joined_mesh(pieces)), color)
 
 
 @dataclass(frozen=True, eq=False)

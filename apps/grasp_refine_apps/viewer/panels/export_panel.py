@@ -41,6 +41,7 @@ from grasp_refine_apps.viewer.model.names import file_stem, shortened
 from grasp_refine_apps.viewer.model.painting import faces_file
 from grasp_refine_apps.viewer.model.present import present
 from grasp_refine_apps.viewer.model.state import JobKind, State
+from grasp_refine_apps.viewer.model.work import Work
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_click
 from grasp_refine_apps.viewer.server.viser_private import MAX_CONCURRENT_UPLOADS, limit_uploads
 
@@ -234,7 +235,7 @@ class ExportPanel:
         now, to, client = self._controller.state, self.format.value, event.client
         if client is None:
             return
-        works = {n: now.works.get(n) or now.collection.work(n) for n in chosen(now, self.which.value)}
+        works = self._works(now)
         if not works:
             self._controller.notify(f"no grasp is {self.which.value}: choose others", bad=True)
             return
@@ -255,14 +256,17 @@ class ExportPanel:
 
         self._run("export", what, work)
 
+    def _works(self, now: State) -> dict[int, Work]:
+        """Return number and work of all chosen grasps."""
+        return {n: now.works.get(n) or now.collection.work(n) for n in chosen(now, self.which.value)}
+
     def _export(self, event: viser.GuiEvent) -> None:
         """Send the folder of all chosen grasps as they stand for another program, as a zip."""
         now, to, client = self._controller.state, str(self.program.value), event.client
         if client is None:
             return
-        every = {n: now.works.get(n) or now.collection.work(n) for n in chosen(now, self.which.value)}
         # Forces and closing motions are made for the grasps as they stand.
-        works = {n: replace(work, targets=()) for n, work in every.items() if work.standing.posed}
+        works = {n: replace(work, targets=()) for n, work in self._works(now).items() if work.standing.posed}
         if not works:
             self._controller.notify(f"no grasp that can be drawn is {self.which.value}: choose others", bad=True)
             return

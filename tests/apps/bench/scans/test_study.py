@@ -15,8 +15,7 @@ from grasp_refine_apps.bench.success.assets import HandCase, ObjectCase
 
 def measured(way: Way, name: str, quality: list[float], held: list[bool], views: int = 1) -> Measured:
     case = Case(HandCase("allegro", "allegro", "allegro"), ObjectCase(name, name, 1.0))
-    known = np.full(len(quality), np.nan)
-    return Measured(way, np.array(quality), known, np.array(held), case=case, views=views, points=100 * views)
+    return Measured(way, np.array(quality), np.array(held), case=case, views=views, points=100 * views)
 
 
 def test_shares_are_by_views_and_way_and_answers_are_the_confident_ones():
