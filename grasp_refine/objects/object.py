@@ -151,7 +151,15 @@ class Object:
         return self._solid(f"{self.name}, all hypotheses", pieces)
 
     def _solid(self, name: str, pieces: tuple[Piece, ...]) -> Object:
-        return replace(self, name=name, supplied=pieces, convex=len(pieces) == 1, scan=None, hypotheses=())
+        return replace(
+            self,
+            name=name,
+            mesh=joined_mesh(pieces),
+            convex=len(pieces) == 1,
+            supplied=pieces,
+            scan=None,
+            hypotheses=(),
+        )
 
     def as_hull(self) -> Object:
         """Return the convex hull of the object, to be shown until this is decomposed."""

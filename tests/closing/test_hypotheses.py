@@ -52,6 +52,13 @@ def scanned() -> Object:
     return replace(load_object("box:0.06,0.06,0.06"), supplied=found[0].pieces, hypotheses=found)
 
 
+def test_each_solid_has_its_own_surface_and_centre(scanned: Object):
+    for solid, (left, right) in zip(scanned.solids, RANGES, strict=True):
+        assert solid.center_of_mass == pytest.approx([(left + right) / 2, 0, 0], abs=1e-9)
+        assert solid.mesh.bounds[:, 0] == pytest.approx([left, right])
+    assert scanned.envelope.mesh.bounds[:, 0] == pytest.approx([-0.05, 0.03])
+
+
 def closed(faces: tuple[float, float]) -> np.ndarray:
     """Joint values at which the balls touch faces at some x."""
     return np.array([0.1 - RADIUS - faces[1], 0.1 - RADIUS + faces[0]])
