@@ -33,7 +33,7 @@ def close_until_stopped(
         q_end: Joint values (N, n) at which the paths end.
     """
     chain = prepared.chain
-    moves = chain.joint_mask(np.arange(len(chain.links)))[:, 6:] @ (chain.joint_gains != 0.0) > 0.0
+    moves = chain.moves
     path = q_end - q_open
     share = np.zeros_like(q_open)
     step = np.where(path != 0.0, 1.0 / NUM_STEPS, 0.0)

@@ -20,6 +20,7 @@ import numpy as np
 
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.arguments import check_alike, check_kind, check_shape
+from grasp_refine.core.array_types import Bool
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import Array, array_namespace, exp_so3, inverse, tangents, transform
 from grasp_refine.core.short_repr import brief
@@ -137,6 +138,11 @@ class Chain:
     def joint_mask(self, link: np.ndarray) -> np.ndarray:
         """Mask (R, 6 + m): 1 where a root twist or joint of `joints` moves the link, else 0; see `to_joint_space`."""
         return self._numbers.follows[link]
+
+    @property
+    def moves(self) -> Bool[np.ndarray, "L n"]:
+        """True (L, n) where an independent joint moves a link."""
+        return (self.joint_mask(np.arange(len(self.links)))[:, 6:] @ (self.joint_gains != 0.0)) > 0.0
 
     def _constants_on(self, xp: ModuleType, like: Array) -> Numbers:
         """The constants in the array library `xp`, with the number type and on the device of `like`."""

@@ -7,7 +7,6 @@ import numpy as np
 from grasp_refine.core.array_types import Float
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.palm import is_of_arm
 from grasp_refine.refinement.config import Config
 
 OTHER_MODEL_CLEARANCE_M = 1.5e-3
@@ -22,8 +21,7 @@ def clearances(config: Config, hand: Hand, chain: Chain) -> Float[np.ndarray, " 
     such. The palm has none, whatever carries it: it is where the fingers need it.
     """
     tips = {contact.link for contact in hand.contacts} | set(config.contact_selection.named(hand, chain.links))
-    fingers = np.array([not is_of_arm(hand, name) for name in chain.joints], dtype=bool)
-    moves = (chain.joint_mask(np.arange(len(chain.links)))[:, 6:] * fingers).any(axis=1)
+    moves = chain.moves[:, ~hand.arm_joints].any(axis=1)
     clearance = config.clearance
     if clearance is None:
         clearance = OTHER_MODEL_CLEARANCE_M if _has_other_geometry(hand) else 0.0

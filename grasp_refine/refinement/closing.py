@@ -124,11 +124,8 @@ class _Fingers:
     @classmethod
     def of(cls, hand: Hand, prepared: HandObject, closing: Float[np.ndarray, " n"]) -> _Fingers:
         groups = np.array(link_groups(hand, links_of(hand)))
-        q = np.concatenate([hand.rest[None], hand.rest + np.diag(np.where(hand.rest < hand.upper, 1.0, -1.0) * 1e-3)])
-        T = prepared.chain(np.tile(np.eye(4), (len(q), 1, 1)), q).T_world_link
-        moves = (np.abs(T[1:] - T[0]) > 1e-9).any(axis=(2, 3))
         own = np.stack([groups == finger for finger in hand.fingers])
-        return cls(hand, prepared, closing, moves[:, None] & own)
+        return cls(hand, prepared, closing, prepared.chain.moves.T[:, None] & own)
 
     def gaps(
         self, number: Int[np.ndarray, " N"], T_world_root: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]

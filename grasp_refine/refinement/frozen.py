@@ -90,9 +90,9 @@ class Frozen:
 def _joints(hand: Hand) -> tuple[dict[str, Bool[np.ndarray, " n"]], Bool[np.ndarray, " n"]]:
     """Return the independent joints (n,) that move each finger, and those of an arm or wrist, which carry them all."""
     chain = Chain(hand, [contact.link for contact in hand.contacts])
-    above, follows = chain.joint_mask(np.arange(len(hand.contacts)))[:, 6:] > 0, chain.joint_gains != 0
     group = np.array([contact.group for contact in hand.contacts])
-    fingers = {finger: (above[group == finger] @ follows).any(axis=0) for finger in hand.fingers}
+    fingers = {finger: chain.moves[group == finger].any(axis=0) for finger in hand.fingers}
     # Jaws that move together have a joint each: none carries both.
+    above = chain.joint_mask(np.arange(len(hand.contacts)))[:, 6:] > 0
     carries = above.all(axis=0) & (len(hand.fingers) > 1)
-    return fingers, (carries @ follows) | hand.arm_joints
+    return fingers, (carries @ (chain.joint_gains != 0)) | hand.arm_joints

@@ -345,6 +345,7 @@ class _Closing:
         hands, nearest = replace(hands, q=hands.q.copy()), hands.q.copy()
         least = np.full((len(nearest), len(self._fingers)), np.inf)
         busy, witness = np.arange(len(nearest)), None
+        moves = self.prepared.chain.moves
         for _ in range(MAX_STEPS):
             if not len(busy):
                 break
@@ -355,12 +356,12 @@ class _Closing:
                 nearer = now < least[busy, k] - SAME_DISTANCE_M
                 least[busy[nearer], k] = now[nearer]
                 nearest[np.ix_(busy[nearer], joints)] = q[np.ix_(nearer, joints)]
-            stopped = (self._moves & (gap <= STOP_DISTANCE_M)[..., None]).any(axis=1) | (q == end)
+            stopped = (moves & (gap <= STOP_DISTANCE_M)[..., None]).any(axis=1) | (q == end)
             rate = np.where(stopped, 0.0, speed[busy])
             # No point of a link moves faster than this, so that no step takes it into anything.
             fastest = matvec(self._speeds(proximity.frames), rate)
             time = (gap - 0.5 * STOP_DISTANCE_M) / np.maximum(fastest, 1e-9)
-            step = rate * np.where(self._moves, time[..., None], MAX_STEP_RAD).min(axis=1).clip(0.0, MAX_STEP_RAD)
+            step = rate * np.where(moves, time[..., None], MAX_STEP_RAD).min(axis=1).clip(0.0, MAX_STEP_RAD)
             hands.q[busy] = np.clip(q + closure.closing * step, closure.lower, closure.upper)
             more = (step > MIN_STEP_RAD * unit).any(axis=1)
             busy, witness = busy[more], proximity.witness.rows(more)
@@ -392,14 +393,9 @@ class _Closing:
         return linear + prepared.bounding_spheres[:, 3, None] * angular
 
     @cached_property
-    def _moves(self) -> Bool[np.ndarray, "L n"]:
-        """Mask (L, n) of the links that each joint moves."""
-        return self._speeds(self.prepared.chain(np.eye(4)[None], self.prepared.hand.rest[None]))[0] > 1e-9
-
-    @cached_property
     def _fingers(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Indices of the links and closing joints of each finger: joints that move a common link are of one finger."""
-        moves = self._moves & (self.closure.closing != 0)
+        moves = self.prepared.chain.moves & (self.closure.closing != 0)
         together = moves.T @ moves
         for _ in together:
             together = together @ together
