@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_refine.core.array_types import Float
+from grasp_refine.core.array_types import Bool, Float
+from grasp_refine.refinement.closing import step_until_stopped
 from grasp_refine.scene.hand_object import HandObject
 
 NUM_STEPS = 12
-"""Steps of a joint from one end of its path to the other: no finger passes through a thin wall between two."""
-
-NUM_HALVINGS = 6
-"""Halvings of the step where a link would touch: fingers of hands in use stop within about 0.1 mm."""
+"""Steps of a joint from one end of its path to the other: no finger passes through a thin wall between two. Fingers of
+hands in use stop within about 0.1 mm."""
 
 
 def close_until_stopped(
@@ -32,23 +31,14 @@ def close_until_stopped(
         q_open: Joint values (N, n) at which the hand is open.
         q_end: Joint values (N, n) at which the paths end.
     """
-    chain = prepared.chain
-    moves = chain.moves
-    path = q_end - q_open
-    share = np.zeros_like(q_open)
-    step = np.where(path != 0.0, 1.0 / NUM_STEPS, 0.0)
-    number = np.zeros(len(path), dtype=np.int64)
-    for _ in range(2 * NUM_STEPS + NUM_HALVINGS):
-        rows = np.flatnonzero(step.any(axis=1))
-        if not len(rows):
-            break
-        tried = np.minimum(share[rows] + step[rows], 1.0)
-        T_link = chain(T_world_root[rows], q_open[rows] + tried * path[rows]).T_world_link
+    chain, path = prepared.chain, q_end - q_open
+
+    def touches(rows: np.ndarray, share: np.ndarray, step: np.ndarray) -> Bool[np.ndarray, "R n"]:
+        T_link = chain(T_world_root[rows], q_open[rows] + share * path[rows]).T_world_link
         # Links whose joints all stopped need no query.
-        cutoff = np.where((moves & (step[rows] > 0.0)[:, None]).any(axis=2), 0.0, np.nan)
-        witness = prepared.query(number[rows], T_link, cutoff=cutoff)
-        touches = ((witness.valid & (witness.distance <= 0.0))[..., None] & moves).any(axis=1) & (step[rows] > 0.0)
-        share[rows] = np.where(touches, share[rows], tried)
-        by = np.where(touches, 0.5 * step[rows], step[rows])
-        step[rows] = np.where((~touches & (tried >= 1.0)) | (by < 0.5**NUM_HALVINGS / NUM_STEPS), 0.0, by)
-    return share
+        cutoff = np.where((chain.moves & (step > 0.0)[:, None]).any(axis=2), 0.0, np.nan)
+        witness = prepared.query(np.zeros(len(rows), dtype=np.int64), T_link, cutoff=cutoff)
+        return ((witness.valid & (witness.distance <= 0.0))[..., None] & chain.moves).any(axis=1)
+
+    step = np.where(path != 0.0, 1.0 / NUM_STEPS, 0.0)
+    return step_until_stopped(np.zeros_like(path), step, touches, (0.0, 1.0), NUM_STEPS)[0]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -102,71 +103,64 @@ def close_hands(
     closing = np.where(frozen, 0.0, _closing(hand)) if len(rows) else np.zeros(len(hand.rest))
     if not closing.any():
         return ClosedHands(q, moved)
-    fingers = _Fingers.of(hand, prepared, closing)
+    groups = np.array(link_groups(hand, links_of(hand)))
+    own = np.stack([groups == finger for finger in hand.fingers])
+    moves = prepared.chain.moves.T[:, None] & own
+    cutoff = np.where(moves.any(axis=(0, 1)), np.inf, np.nan)
+    number, T = scene.number[rows], scene.T_world_root[rows]
+
+    def touches(at: Int[np.ndarray, " R"], q: Float[np.ndarray, "R n"], _: Any = None) -> Bool[np.ndarray, "R n"]:
+        witness = prepared.query(number[at], prepared.chain(T[at], q).T_world_link, cutoff=cutoff)
+        distance = np.where(witness.valid, witness.distance, np.inf)[:, None, None]
+        by_finger = np.sort(np.where(moves, distance, np.inf).min(axis=3), axis=2)
+        several = by_finger.shape[2] > 1 and np.isfinite(by_finger[..., 1])
+        return np.where(several, by_finger[..., :2].mean(axis=2), by_finger[..., 0]) <= gap
+
     start = np.clip(q[rows], hand.lower, hand.upper)
-    q[rows], stopped = fingers.close(scene.number[rows], scene.T_world_root[rows], start, gap)
+    at_once = touches(np.arange(len(rows)), start)
+    # A continuous joint turns once at most.
+    span = np.where(np.isfinite(hand.upper - hand.lower), hand.upper - hand.lower, np.pi)
+    step = np.where(at_once, 0.0, closing * span / NUM_STEPS)
+    q[rows], stopped = step_until_stopped(start, step, touches, (hand.lower, hand.upper), NUM_STEPS)
+    stopped |= at_once
     q[rows] = np.where(stopped, q[rows], scene.q[rows])
     moved[rows] = np.where(stopped.any(axis=1), _distance(hand, scene.q[rows], q[rows]), np.nan)
     return ClosedHands(q, moved)
 
 
-@dataclass(frozen=True, eq=False)
-class _Fingers:
-    """Fingers of a hand that close around an object."""
+def step_until_stopped(
+    value: Float[np.ndarray, "N n"],
+    step: Float[np.ndarray, "N n"],
+    touches: Callable[[np.ndarray, np.ndarray, np.ndarray], Bool[np.ndarray, "R n"]],
+    limits: tuple[Float[np.ndarray, " n"] | float, Float[np.ndarray, " n"] | float],
+    num_steps: int,
+) -> tuple[Float[np.ndarray, "N n"], Bool[np.ndarray, "N n"]]:
+    """Return values (N, n) that were moved until each touches or reaches its limit, and True (N, n) where it touched.
 
-    hand: Hand
-    prepared: HandObject
-    closing: Float[np.ndarray, " n"]
-    """Direction (n,) in which each joint closes, 1 or -1; 0 for others."""
-    moves: Bool[np.ndarray, "n F L"]
-    """True (n, F, L) where a joint moves a link that belongs to a finger."""
+    A value that would touch after its step stays, and halves its step, `NUM_HALVINGS` times.
 
-    @classmethod
-    def of(cls, hand: Hand, prepared: HandObject, closing: Float[np.ndarray, " n"]) -> _Fingers:
-        groups = np.array(link_groups(hand, links_of(hand)))
-        own = np.stack([groups == finger for finger in hand.fingers])
-        return cls(hand, prepared, closing, prepared.chain.moves.T[:, None] & own)
-
-    def gaps(
-        self, number: Int[np.ndarray, " N"], T_world_root: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]
-    ) -> Float[np.ndarray, "N n"]:
-        """Return how far (N, n) the fingers that each joint moves are from the object, in metres; inf for none."""
-        T = self.prepared.chain(T_world_root, q).T_world_link
-        cutoff = np.where(self.moves.any(axis=(0, 1)), np.inf, np.nan)
-        witness = self.prepared.query(number, T, cutoff=cutoff)
-        distance = np.where(witness.valid, witness.distance, np.inf)[:, None, None]
-        by_finger = np.sort(np.where(self.moves, distance, np.inf).min(axis=3), axis=2)
-        several = by_finger.shape[2] > 1 and np.isfinite(by_finger[..., 1])
-        return np.where(several, by_finger[..., :2].mean(axis=2), by_finger[..., 0])
-
-    def close(
-        self,
-        number: Int[np.ndarray, " N"],
-        T_world_root: Float[np.ndarray, "N 4 4"],
-        q: Float[np.ndarray, "N n"],
-        gap: float,
-    ) -> tuple[Float[np.ndarray, "N n"], Bool[np.ndarray, "N n"]]:
-        """Return joint values (N, n) of closed hands, and True (N, n) where a joint was stopped by the object."""
-        lower, upper = self.hand.lower, self.hand.upper
-        bounded = np.isfinite(upper - lower)
-        full = np.where(bounded, upper - lower, np.pi) / NUM_STEPS
-        step = np.tile(self.closing * full, (len(q), 1))
-        stopped = self.gaps(number, T_world_root, q) <= gap
-        step[stopped] = 0.0
-        # A continuous joint turns once at most.
-        for _ in range(2 * NUM_STEPS + NUM_HALVINGS):
-            open_rows = np.flatnonzero(step.any(axis=1))
-            if not len(open_rows):
-                break
-            now, by = q[open_rows], step[open_rows]
-            tried = np.clip(now + by, lower, upper)
-            touches = (self.gaps(number[open_rows], T_world_root[open_rows], tried) <= gap) & (by != 0.0)
-            stopped[open_rows] |= touches
-            ended = (tried == now) & ~touches
-            q[open_rows] = np.where(touches, now, tried)
-            by = np.where(touches, 0.5 * by, by)
-            step[open_rows] = np.where(ended | (np.abs(by) < full * 0.5**NUM_HALVINGS), 0.0, by)
-        return q, stopped
+    Args:
+        value: First values.
+        step: Their steps; 0 for values that stay.
+        touches: Says which values (R, n) touch, of rows (R,) with these values and steps (R, n).
+        limits: Lowest and highest values.
+        num_steps: Number of steps from one limit to the other.
+    """
+    value, stopped, least = value.copy(), np.zeros(value.shape, dtype=bool), 0.5**NUM_HALVINGS * np.abs(step)
+    step = step.copy()
+    for _ in range(2 * num_steps + NUM_HALVINGS):
+        rows = np.flatnonzero(step.any(axis=1))
+        if not len(rows):
+            break
+        now, by = value[rows], step[rows]
+        tried = np.clip(now + by, *limits)
+        touching = touches(rows, tried, by) & (by != 0.0)
+        stopped[rows] |= touching
+        ended = (tried == now) & ~touching
+        value[rows] = np.where(touching, now, tried)
+        by = np.where(touching, 0.5 * by, by)
+        step[rows] = np.where(ended | (np.abs(by) < least[rows]), 0.0, by)
+    return value, stopped
 
 
 def _closing(hand: Hand) -> Float[np.ndarray, " n"]:
