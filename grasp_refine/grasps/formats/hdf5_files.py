@@ -1,25 +1,22 @@
 """Contents of an HDF5 file: groups as dicts, datasets as arrays or text, of bounded number and size; needs h5py.
 
-The HDF5 library runs for ever on some damaged files. So it reads in a process of its own, which is ended after a while,
-and whose answer is a pickle as any other: `python -m grasp_refine.grasps.formats.hdf5_files < FILE`.
+The HDF5 library runs for ever on some damaged files. So it reads in a process of its own:
+`python -m grasp_refine.grasps.formats.hdf5_files < FILE`.
 """
 
 from __future__ import annotations
 
 import io
-import os
-import pickle
-import subprocess
 import sys
 from dataclasses import dataclass
 from importlib.util import find_spec
 from math import prod
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from grasp_refine.grasps.formats.pickled import MAX_DEPTH, Refused, unpickle
+from grasp_refine.grasps.formats.pickled import MAX_DEPTH, Refused
+from grasp_refine.grasps.formats.reading_apart import answer, read_apart
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 """First bytes of an HDF5 file."""
@@ -29,10 +26,6 @@ MAX_DATA_BYTES = 2**28
 """Largest size of all datasets, and of a chunk, in bytes; compressed ones may be far smaller in the file."""
 MAX_TEXTS = 10_000
 """Most texts in a dataset."""
-TIME_LIMIT_S = 60.0
-"""Time in seconds after which reading ends; a file of the allowed size takes a few."""
-REFUSED = 3
-"""Exit code of the process that reads a file which it refuses, with the reason on its output."""
 INSTALL = "it takes h5py to read and write it: pip install 'grasp-refine[hdf5]'"
 
 
@@ -52,23 +45,8 @@ def load_hdf5(data: bytes) -> dict[str, Any]:
     """
     if find_spec("h5py") is None:
         raise Refused(f"is an HDF5 file, and {INSTALL}")
-    place = os.pathsep.join([str(Path(__file__).parents[3]), *filter(None, [os.environ.get("PYTHONPATH")])])
-    try:
-        done = subprocess.run(
-            [sys.executable, "-m", __spec__.name if __spec__ else __name__],
-            input=data,
-            capture_output=True,
-            timeout=TIME_LIMIT_S,
-            env={**os.environ, "PYTHONPATH": place},
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        raise Refused(f"is a damaged HDF5 file: the library does not end within {TIME_LIMIT_S:g} s") from None
-    if done.returncode == REFUSED:
-        raise Refused(done.stdout.decode(errors="replace"))
-    if done.returncode:
-        raise Refused(f"is a damaged HDF5 file: the library ended with {done.returncode}")
-    return unpickle(done.stdout)
+    name = "grasp_refine.grasps.formats.hdf5_files"
+    return read_apart(name, damaged="is a damaged HDF5 file", data=data)
 
 
 def parse_hdf5(data: bytes) -> dict[str, Any]:
@@ -149,16 +127,5 @@ def dump_hdf5(content: dict[str, Any]) -> bytes:
     return stream.getvalue()
 
 
-def main() -> int:
-    """Read a file from the standard input, and write its contents as a pickle; return the exit code."""
-    try:
-        content = parse_hdf5(sys.stdin.buffer.read())
-    except Refused as error:
-        sys.stdout.write(str(error))
-        return REFUSED
-    pickle.dump(content, sys.stdout.buffer, protocol=4)
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(answer(lambda: parse_hdf5(sys.stdin.buffer.read())))

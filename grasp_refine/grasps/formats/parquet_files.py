@@ -1,15 +1,12 @@
 """Columns of Parquet files, of bounded size; needs pyarrow.
 
-Its library ends the process on some damaged files. So it reads in a process of its own, whose answer is a pickle as any
-other: `python -m grasp_refine.grasps.formats.parquet_files COLUMNS FILE ...`, where COLUMNS is a list in JSON.
+Its library ends the process on some damaged files. So it reads in a process of its own:
+`python -m grasp_refine.grasps.formats.parquet_files COLUMNS FILE ...`, where COLUMNS is a list in JSON.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import pickle
-import subprocess
 import sys
 from collections.abc import Collection, Sequence
 from importlib.util import find_spec
@@ -20,8 +17,8 @@ import numpy as np
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.names import is_file
-from grasp_refine.grasps.formats.hdf5_files import REFUSED, TIME_LIMIT_S
-from grasp_refine.grasps.formats.pickled import Refused, unpickle
+from grasp_refine.grasps.formats.pickled import Refused
+from grasp_refine.grasps.formats.reading_apart import answer, read_apart
 from grasp_refine.grasps.formats.source import MAX_NUMBERS
 
 MAX_CHARACTERS = 1000
@@ -40,26 +37,11 @@ def load_parquet(paths: Sequence[Path], wanted: Collection[str]) -> tuple[Column
     """
     if find_spec("pyarrow") is None:
         raise GraspFileError(f"{paths[0]}: is Parquet, and {INSTALL}")
-    place = os.pathsep.join([str(Path(__file__).parents[3]), *filter(None, [os.environ.get("PYTHONPATH")])])
-    command = [sys.executable, "-m", "grasp_refine.grasps.formats.parquet_files", json.dumps(list(wanted))]
+    module, damaged = "grasp_refine.grasps.formats.parquet_files", f"{paths[0]}: is a damaged Parquet file"
     try:
-        done = subprocess.run(
-            [*command, *map(str, paths)],
-            capture_output=True,
-            timeout=TIME_LIMIT_S,
-            env={**os.environ, "PYTHONPATH": place},
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        raise GraspFileError(f"{paths[0]}: its library does not end within {TIME_LIMIT_S:g} s") from None
-    if done.returncode == REFUSED:
-        raise GraspFileError(done.stdout.decode(errors="replace"))
-    if done.returncode:
-        raise GraspFileError(f"{paths[0]}: is a damaged Parquet file: its library ended with {done.returncode}")
-    try:
-        columns, names = unpickle(done.stdout)
+        columns, names = read_apart(module, json.dumps(list(wanted)), *map(str, paths), damaged=damaged)
     except Refused as error:
-        raise GraspFileError(f"{paths[0]}: {error}") from None
+        raise GraspFileError(str(error)) from None
     return columns, names
 
 
@@ -131,16 +113,5 @@ def _of_arrow(path: Path, name: str, column: Any) -> np.ndarray:
     return np.asarray(chunk.to_numpy(zero_copy_only=False)).reshape(shape)
 
 
-def main() -> int:
-    """Read the files of the command line, and write their columns or the reason why not; return the exit code."""
-    try:
-        found = parse_parquet([Path(name) for name in sys.argv[2:]], json.loads(sys.argv[1]))
-    except GraspFileError as error:
-        sys.stdout.write(str(error))
-        return REFUSED
-    pickle.dump(found, sys.stdout.buffer, protocol=4)
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(answer(lambda: parse_parquet([Path(name) for name in sys.argv[2:]], json.loads(sys.argv[1]))))

@@ -12,7 +12,7 @@ import pytest
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import exp_se3, transform_from_pose, transform_points
-from grasp_refine.grasps.formats import hdf5_files
+from grasp_refine.grasps.formats import hdf5_files, reading_apart
 from grasp_refine.grasps.formats.agreement import check_same
 from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.hdf5_files import dump_hdf5, parse_hdf5
@@ -182,7 +182,7 @@ def test_bounds_and_links(tmp_path: Path):
 def test_reading_ends_after_a_while(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The HDF5 library may run for ever on a damaged file."""
     path = save(tmp_path / "a.h5", tree())
-    monkeypatch.setattr(hdf5_files, "TIME_LIMIT_S", 0.001)
+    monkeypatch.setattr(reading_apart, "TIME_LIMIT_S", 0.001)
     with refused(GraspFileError, path, "0.001 s"):
         load_content(path)
 
