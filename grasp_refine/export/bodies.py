@@ -16,16 +16,13 @@ import numpy as np
 from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import inverse, transform, transform_points
-from grasp_refine.geometry.sphere_points import on_sphere
 from grasp_refine.hands.files.inertia import Inertia
 from grasp_refine.validation.engines.geom_pairs import touching_pairs
+from grasp_refine.validation.engines.geom_points import geom_points
 from grasp_refine.validation.engines.mujoco.world import HAND, World
 from grasp_refine.validation.engines.rigid_groups import pose_of
 
 Kind = Literal["fixed", "revolute", "continuous", "prismatic"]
-
-ROUND_POINTS = 120
-"""Vertices of the hull in place of a sphere, capsule, cylinder or ellipsoid."""
 
 LEAST_MASS, LEAST_MOMENT = 1e-5, 1e-9
 """Mass (kg) and moment (kg m^2) of links that have none: engines other than MuJoCo need some."""
@@ -228,33 +225,10 @@ class _Reader:
         model = self.world.model
         first, count = model.body_geomadr[body], model.body_geomnum[body]
         return [
-            _hull(transform_points(T @ pose_of(model.geom_pos[geom], model.geom_quat[geom]), _points(model, geom)))
+            _hull(transform_points(T @ pose_of(model.geom_pos[geom], model.geom_quat[geom]), geom_points(model, geom)))
             for geom in range(first, first + count)
             if geom in solid
         ]
-
-
-def _points(model: mujoco.MjModel, geom: int) -> Float[np.ndarray, "v 3"]:
-    """Return points (v, 3) whose hull is a geom, in its frame; round ones have some on their surface."""
-    kind, (a, b, c) = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
-    if kind == mujoco.mjtGeom.mjGEOM_MESH:
-        mesh = model.geom_dataid[geom]
-        start = model.mesh_vertadr[mesh]
-        return model.mesh_vert[start : start + model.mesh_vertnum[mesh]].astype(float)
-    if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        return model.geom_size[geom] * np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
-    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        turn = np.linspace(0.0, 2.0 * np.pi, ROUND_POINTS // 2, endpoint=False)
-        ring = np.column_stack([a * np.cos(turn), a * np.sin(turn), np.full(len(turn), b)])
-        return np.concatenate([ring, ring * [1.0, 1.0, -1.0]])
-    ball = on_sphere(ROUND_POINTS)
-    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return a * ball
-    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        return a * ball + np.where(ball[:, 2:] > 0, b, -b) * [0.0, 0.0, 1.0]
-    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        return ball * [a, b, c]
-    raise GraspRefineError(f"geometry '{kind.name}' of the hand is exported to mjcf only")
 
 
 def _hull(points: np.ndarray) -> Hull:

@@ -23,6 +23,7 @@ from pydrake.geometry import (
 from pydrake.multibody.plant import CoulombFriction
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.validation.engines.geom_points import geom_points
 
 CONTACT_STIFFNESS_N_M = 5e4
 """Stiffness of a contact of two bodies in N/m: a fingertip that presses with 5 N sinks in by 0.1 mm, as in MuJoCo."""
@@ -50,9 +51,7 @@ def shape_of(model: mujoco.MjModel, geom: int) -> Shape:
     """
     kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
-        mesh = model.geom_dataid[geom]
-        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-        return Convex(points=model.mesh_vert[start : start + count].T.astype(float), label=model.geom(geom).name)
+        return Convex(points=geom_points(model, geom).T, label=model.geom(geom).name)
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return Box(2 * size)
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:

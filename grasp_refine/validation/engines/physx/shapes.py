@@ -10,7 +10,7 @@ import numpy as np
 from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform
-from grasp_refine.geometry.sphere_points import on_sphere
+from grasp_refine.validation.engines.geom_points import geom_points
 from grasp_refine.validation.engines.physx.binding import physx, pose_of_transform
 
 CONTACT_OFFSET_M = 1e-3
@@ -19,9 +19,6 @@ CONTACT_OFFSET_M = 1e-3
 HULL_UNIT_M = 1e-3
 """Unit in which hulls are made: PhysX drops vertices within 0.7 of its unit of a face, 0.7 mm in metres. It keeps at
 most 255 faces, so that hulls of several hundred vertices lie up to 0.2 mm inside."""
-
-ELLIPSOID_POINTS = 120
-"""Number of vertices of the polyhedron in place of an ellipsoid."""
 
 MAX_CLASSES = 32
 """Largest number of classes of shapes with equal partners: bits of PhysX's filter."""
@@ -53,12 +50,8 @@ def shape_of(
         GraspRefineError: a kind of geom that PhysX has no counterpart of.
     """
     kind, size, T = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom], T_link_geom
-    if kind == mujoco.mjtGeom.mjGEOM_MESH:
-        mesh = model.geom_dataid[geom]
-        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-        shape = _hull(model.mesh_vert[start : start + count].astype(float), material)
-    elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        shape = _hull(size * on_sphere(ELLIPSOID_POINTS), material)
+    if kind in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
+        shape = _hull(geom_points(model, geom), material)
     elif kind == mujoco.mjtGeom.mjGEOM_BOX:
         shape = physx.PhysxCollisionShapeBox(size, material)
     elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
