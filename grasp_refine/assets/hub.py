@@ -79,7 +79,7 @@ def hub_dataset(path: str | Path, on_message: Callable[[str], None]) -> HubDatas
 def fetch_dataset(
     dataset: HubDataset, suffixes: Sequence[str], on_message: Callable[[str], None], *, accept_license: bool = False
 ) -> Path:
-    """Return the local file or folder of a data set, of which only files with some endings are fetched.
+    """Return the local file or folder of a data set; only its files with some endings are fetched.
 
     Args:
         dataset: Data set, or a part of it.

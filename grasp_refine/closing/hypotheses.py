@@ -64,7 +64,7 @@ class Ends:
         beyond it, until the solid stops it.
 
         Args:
-            scene: Grasps on the first solid, any of which may be in the solid, or away from it.
+            scene: Grasps on the first solid; any may be in it, or away from it.
             config: Settings of the refinement.
             solids: The hand with each solid.
             envelope: The hand with the union of all solids.

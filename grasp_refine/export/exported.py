@@ -57,7 +57,7 @@ class ExportedGrasps:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of all m movable joints, those that follow others included, in the order of `joint_values`."""
+        """Names of all m movable joints, with followers of others, in the order of `joint_values`."""
         return self.hand.mimic_map()[2]
 
     @cached_property

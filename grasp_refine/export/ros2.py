@@ -149,7 +149,7 @@ def _fingers(grasps: ExportedGrasps, plan: MotionPlan, row: int) -> Sequence[Flo
 def _posture(
     grasps: ExportedGrasps, stages: Sequence[Float[np.ndarray, " n"]], effort: Float[np.ndarray, " m"] | None = None
 ) -> Message:
-    """Return the joints of the hand alone, those that follow others included, at some stages, a second apart."""
+    """Return the joints of the hand alone, with followers of others, at some stages, a second apart."""
     mine = np.array([not is_of_arm(grasps.hand, name) for name in grasps.joint_names])
     values = all_values(grasps.hand, np.stack(stages))[:, mine]
     torque = None if effort is None else effort[mine]

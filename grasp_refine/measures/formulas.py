@@ -51,7 +51,7 @@ class MeasuredGrasps:
     geometry: Geometry
     """Distances, witness points and poses of the links."""
     task: Task = Task()
-    """What the grasps must do, and where; its regions are made for the object."""
+    """Task of the grasps; its regions are made for the object."""
     original: Original | None = None
     """Contacts of the grasps that these were transferred from; None: they were not."""
 

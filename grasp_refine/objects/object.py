@@ -76,7 +76,7 @@ class Object:
     """Object for which this one, its convex hull, stands until that is decomposed; None: it stands for none."""
 
     scan: Scan | None = None
-    """Scan of which this is the first completion; None: its surface is known."""
+    """Scan that this completes first; None: its surface is known."""
     hypotheses: tuple[Hypothesis, ...] = ()
     """Solids that a scanned object may be; the first stands for all."""
     record: Mapping[str, Any] | None = None

@@ -33,7 +33,7 @@ MAX_HYPOTHESES = 64
 
 @dataclass(frozen=True, eq=False)
 class Completing:
-    """How a scan is completed: see `load_object`."""
+    """Completions of a scan: see `load_object`."""
 
     hypotheses: int = HYPOTHESES
     """Number of solids."""

@@ -212,7 +212,7 @@ def simulate(
         refined: Result of `refine`.
         task: Another task, as of `load_task`, which counts where it names something. None: the task of the
             refinement, with protocol `scene` in a scene, else `dexgraspbench`, where it names none.
-        engines: Names of engines, the first of which decides, or "all": every installed one that can simulate this.
+        engines: Names of engines, the first one decides, or "all": every installed one that can simulate this.
         listener: Callbacks of the progress.
 
     Raises:

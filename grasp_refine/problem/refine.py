@@ -72,7 +72,7 @@ def refine_problem(
     Args:
         problem: Hand, objects, grasps and task.
         config: All settings of the refinement; the defaults when None.
-        engines: Names of the engines that simulate them, the first of which decides; none: they are not simulated.
+        engines: Names of the engines that simulate them; the first one decides; none: they are not simulated.
         listener: Callbacks of the progress.
         cache: Keeps hands and worlds of the simulation for the next problem.
         threads: CPU threads of the simulation; by default as many as there are.

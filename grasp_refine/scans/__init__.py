@@ -1,1 +1,1 @@
-"""Scans: objects of which sensors saw a part, and the solids that they may be."""
+"""Scans: objects that sensors saw in part, and the solids that they may be."""

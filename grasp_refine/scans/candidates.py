@@ -28,7 +28,7 @@ ALONG = 0.9
 """Cosine between an axis of revolution and the line of sight above which the axis says nothing about the far side."""
 
 IMAGES = 5000
-"""Images of seen points, about, of which the outermost are the corners of a hull."""
+"""Images of seen points, about; the outermost are the corners of a hull."""
 
 FEWEST_CELLS = 8
 """Fewest cells of a solid that is split."""
@@ -88,7 +88,7 @@ def _of_symmetry(frame: ViewFrame, kind: str, symmetry: np.ndarray) -> Candidate
 
 
 def _some(frame: ViewFrame, symmetry: np.ndarray) -> np.ndarray:
-    """Points of which there are about `IMAGES` images."""
+    """Points with about `IMAGES` images."""
     return frame.points[:: len(frame.points) * len(symmetry) // IMAGES + 1]
 
 

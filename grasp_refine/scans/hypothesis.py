@@ -12,7 +12,7 @@ class Hypothesis:
     """Solid that a scanned object may be, expressed in the frame of the object."""
 
     kind: str
-    """How the part that was not seen is completed, such as "mirrored"."""
+    """Name of the way in which the unseen part is completed, such as "mirrored"."""
     pieces: tuple[Piece, ...]
     """Convex pieces."""
     weight: float

@@ -48,7 +48,7 @@ COMPARED = 4000
 """Cells, about, by which solids are compared."""
 
 SMOOTHED = 20_000
-"""Images, about, of which a smooth solid is made."""
+"""Images, about, that make a smooth solid."""
 
 
 @dataclass(frozen=True, eq=False)

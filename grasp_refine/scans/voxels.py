@@ -29,7 +29,7 @@ CUTS = 5
 """Places of a cut along each axis."""
 
 SUPPORTS = on_sphere(160)
-"""Directions (D, 3) of which a hull keeps the outermost points."""
+"""Directions (D, 3); a hull keeps the outermost points along them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +170,7 @@ def _hollow(part: np.ndarray) -> tuple[float, float]:
 
 
 def _grown(part: np.ndarray) -> np.ndarray:
-    """Cells of a part and those that share a face with it."""
+    """Cells of a part and their neighbours across a face."""
     grown = part.copy()
     for axis in range(3):
         lead = (slice(None),) * axis

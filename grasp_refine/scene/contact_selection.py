@@ -169,7 +169,7 @@ def link_groups(hand: Hand, links: tuple[str, ...]) -> list[str]:
 
 
 def num_groups(hand: Hand, links: tuple[str, ...], touching: Bool[np.ndarray, "N L"]) -> Int[np.ndarray, " N"]:
-    """Return the number (N,) of the groups (fingers, palm) of which some links (N, L) touch."""
+    """Return the number (N,) of the groups (fingers, palm) with links (N, L) that touch."""
     group = np.unique(link_groups(hand, links), return_inverse=True)[1]
     return np.stack([touching[:, group == one].any(axis=1) for one in range(group.max() + 1)]).sum(axis=0)
 

@@ -24,7 +24,7 @@ from grasp_refine_apps.report.rasterizer import Camera
 from grasp_refine_apps.report.skeleton import Skeleton, object_model
 
 OBJECT, HAND, VIEW_SEED, GRASPS = "mug", "allegro", 3, 8
-"""Object, hand, seed of the camera, and number of sampled grasps, of which the best is drawn."""
+"""Object, hand, seed of the camera, and number of sampled grasps; the best one is drawn."""
 PANEL, OVERSAMPLING = 480, 2
 """Pixels of each panel, and the factor by which it is drawn larger."""
 BESIDE = (0.2, -1.0, 0.45)

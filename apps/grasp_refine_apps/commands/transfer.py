@@ -42,7 +42,7 @@ class Transfer:
     `refine-grasp transfer grasps.npz --from shadow --hand allegro`. The thumb takes the place of the thumb, and the
     other fingers their order from its side on, found by the geometry of both hands; they touch the object where
     those fingers do, and the palm comes from the same side. Then the grasps are refined, so that they touch and hold.
-    The table tells how far contacts are from the originals', and what is no longer the same grasp.
+    The table has the distances of contacts from the originals', and what is no longer the same grasp.
     """
 
     inputs: Annotated[Given, arg(name="")] = field(default_factory=Given)

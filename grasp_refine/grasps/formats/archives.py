@@ -21,7 +21,7 @@ from grasp_refine.core.names import is_file, is_valid
 ARCHIVE_SUFFIXES = (".tar", ".tgz", ".gz")
 """Endings of archives."""
 MAX_MEMBERS = 1_000_000
-"""Most members of an archive, also of those that are skipped."""
+"""Most members of an archive, with skipped ones."""
 MAX_FILES = 50_000
 """Most grasp files that are read from an archive."""
 MAX_READ_BYTES = 2**30
@@ -90,7 +90,7 @@ def members(archive: Path, below: PurePosixPath, suffixes: tuple[str, ...]) -> I
 
 
 class _Bounded:
-    """A file of which nothing large is read at once: a header may state any length of a name."""
+    """A file that reads nothing large at once: a header may state any length of a name."""
 
     def __init__(self, file: BufferedIOBase, archive: Path, size: float) -> None:
         self.file, self.archive, self.size = file, archive, size

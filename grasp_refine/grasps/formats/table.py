@@ -34,7 +34,7 @@ KEYS = {
     "joints": None, "joint_column": str, "joint_unit": str, "object": str, "object_column": str, "scale": float,
     "scale_column": str, "labels": dict, "episode": str, "frame": str,
 }  # fmt: skip
-"""Keys of the TOML file, and the types of those that have one."""
+"""Keys of the TOML file, and their types where they have one."""
 
 
 @dataclass(frozen=True)

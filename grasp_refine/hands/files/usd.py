@@ -284,7 +284,7 @@ class _Converter:
             other = self.stage.GetPrimAtPath(targets[0])
             if other.GetTypeName() != prim.GetTypeName():
                 raise HandError(
-                    f"{self.path}: joint {prim.GetPath()} follows {targets[0]}, one of which turns and one slides: the "
+                    f"{self.path}: joint {prim.GetPath()} follows {targets[0]}, one turns and one slides: the "
                     "unit of its gearing is not known"
                 )
             offset = prim.GetAttribute(f"{before}:offset").Get() or 0.0
@@ -325,7 +325,7 @@ def _rotation(quaternion: Any) -> Float[np.ndarray, "3 3"]:
 
 
 def _distinct(names: dict[str, str]) -> dict[str, str]:
-    """Return the names, with the path in place of those that several have."""
+    """Return the names, with the path in place of a name that several have."""
     listed = list(names.values())
     return {
         path: name if listed.count(name) == 1 else path.strip("/").replace("/", "_") for path, name in names.items()

@@ -113,7 +113,7 @@ class Setup:
 
     @cached_property
     def flat(self) -> Bool[np.ndarray, " N"]:
-        """Mask (N,) of grasps of which any of these links can meet the object face to face."""
+        """Mask (N,) of grasps with any of these links that can meet the object face to face."""
         return (self.anywhere & self.prepared.faces.flat[self.scene.number]).any(axis=1)
 
     def patches(self, member: np.ndarray, T_link: np.ndarray, witness: Witness) -> LinkPatches | None:
@@ -122,7 +122,7 @@ class Setup:
 
 
 class Term(ABC):
-    """A term of the loss: a value with its settings, of which each refinement takes a copy of its own.
+    """A term of the loss: a value with its settings; each refinement takes a copy of its own.
 
     A subclass needs `residuals` alone. They are written once, for NumPy arrays and for torch tensors on a graph.
     """

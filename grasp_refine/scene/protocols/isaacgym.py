@@ -1,4 +1,4 @@
-"""Protocol of DexGraspNet in Isaac Gym: gravity in six directions, of which all must be held.
+"""Protocol of DexGraspNet in Isaac Gym: gravity in six directions; all must be held.
 
 Source: Wang et al., "DexGraspNet: A Large-Scale Robotic Dexterous Grasp Dataset for General Objects Based on
 Simulation", ICRA 2023 (arXiv 2210.02697), by its code, github.com/PKU-EPIC/DexGraspNet, in `grasp_generation`.

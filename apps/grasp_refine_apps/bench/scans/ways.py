@@ -1,4 +1,4 @@
-"""Ways to refine grasps of an object of which only a part was seen."""
+"""Ways to refine grasps of an object that was seen in part."""
 
 from __future__ import annotations
 
