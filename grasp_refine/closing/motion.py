@@ -8,7 +8,7 @@ import numpy as np
 
 from grasp_refine.closing.pregrasp import open_hand
 from grasp_refine.core.arguments import check_kind
-from grasp_refine.core.array_records import take
+from grasp_refine.core.array_records import ArrayRecord
 from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
@@ -27,7 +27,7 @@ STAGES = ("pregrasp", "grasp", "squeeze")
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(ArrayRecord):
     """N grasps, each with its three stages, in the order of `STAGES`."""
 
     T_world_root: Float[np.ndarray, "N 3 4 4"]
@@ -49,10 +49,6 @@ class Motion:
     def finite(self) -> Bool[np.ndarray, " N"]:
         """True where all poses and joint values of a grasp (N,) are finite."""
         return np.isfinite(self.T_world_root).all(axis=(1, 2, 3)) & np.isfinite(self.q).all(axis=(1, 2))
-
-    def select(self, rows: np.ndarray) -> Motion:
-        """Return the grasps `rows`, in that order."""
-        return take(self, rows)
 
 
 def closing_motion(

@@ -14,6 +14,21 @@ A dataclass may also hold texts, and tuples of values, shared by all items."""
 
 Item = TypeVar("Item", bound=Hashable)
 
+Record = TypeVar("Record", bound="ArrayRecord")
+
+
+class ArrayRecord:
+    """Base of dataclasses of arrays with one row per item."""
+
+    def select(self: Record, rows: np.ndarray) -> Record:
+        """Return the items `rows`, in that order."""
+        return take(self, rows)
+
+    @classmethod
+    def join(cls: type[Record], parts: Sequence[Record]) -> Record:
+        """Return the items of all parts, in that order."""
+        return join(*parts)
+
 
 def take(rows: Batch, index: np.ndarray | slice) -> Batch:
     """The rows `index`, integers, a mask or a slice."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from grasp_refine.core.array_records import join, take
+from grasp_refine.core.array_records import ArrayRecord
 from grasp_refine.core.array_types import Float
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import spread
@@ -25,7 +25,7 @@ from grasp_refine.scene.task_file import as_task
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Metrics:
+class Metrics(ArrayRecord):
     """Measures `VALIDATED` of N grasps, as attributes; NaN where a grasp is not finite, or a query failed.
 
     Attributes have the names of the measures, with their unit: `quality`, `penetration_m`, `contact_number`.
@@ -57,15 +57,6 @@ class Metrics:
     def __len__(self) -> int:
         """Return the number of grasps."""
         return len(self.quality)
-
-    def select(self, rows: np.ndarray) -> Metrics:
-        """Return the grasps `rows`, in that order."""
-        return take(self, rows)
-
-    @staticmethod
-    def join(parts: Sequence[Metrics]) -> Metrics:
-        """Return the grasps of all parts, in that order."""
-        return join(*parts)
 
 
 def metrics(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from grasp_refine.closing.motion import Motion
-from grasp_refine.core.array_records import join, take
+from grasp_refine.core.array_records import ArrayRecord, join
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose, transform_points
 from grasp_refine.core.short_repr import brief, labels
@@ -35,7 +35,7 @@ WORDS = ("change", "fidelity", "fingers")
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class Outcome(ArrayRecord):
     """N grasps before and after; every array has one row per grasp, and per-link ones a column for each of L links."""
 
     object: np.ndarray
@@ -145,15 +145,6 @@ class Outcome:
             for name, values in self.measures.items()
             for column, entry in enumerate(MEASURES[name].entries.values())
         }
-
-    def select(self, rows: np.ndarray) -> Outcome:
-        """Return the grasps `rows`, in that order."""
-        return take(self, rows)
-
-    @staticmethod
-    def join(parts: Sequence[Outcome]) -> Outcome:
-        """Return the grasps of all parts, which are of one hand."""
-        return join(*parts)
 
 
 @stage("measuring")

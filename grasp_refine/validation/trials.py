@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from grasp_refine.core.array_records import take
+from grasp_refine.core.array_records import ArrayRecord
 from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import labels, tallied
@@ -67,7 +67,7 @@ NUMBERS = ("time_s", "displacement_m", "angle_rad", "peak_m", "peak_rad")
 
 
 @dataclass(frozen=True, eq=False)
-class Trials:
+class Trials(ArrayRecord):
     """Trials of N grasps, each in D directions, with contacts of L links."""
 
     directions: tuple[str, ...]
@@ -159,10 +159,6 @@ class Trials:
             return ""
         most = int(np.nan_to_num(self.pushed_m[i]).argmax())
         return f"pushed {self.neighbours[most]} {1e3 * self.pushed_m[i, most]:.0f} mm"
-
-    def select(self, rows: np.ndarray) -> Trials:
-        """Return the grasps `rows`, in that order."""
-        return take(self, rows)
 
     @classmethod
     def join(cls, parts: Sequence[Trials]) -> Trials:

@@ -12,7 +12,7 @@ import numpy as np
 
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.arguments import as_numbers, check_kind
-from grasp_refine.core.array_records import take
+from grasp_refine.core.array_records import ArrayRecord
 from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.hand import Hand
@@ -59,7 +59,7 @@ class Checks:
 
 
 @dataclass(frozen=True, eq=False)
-class Validated:
+class Validated(ArrayRecord):
     """Measures of N grasps; None where they were not requested."""
 
     object: np.ndarray
@@ -132,12 +132,8 @@ class Validated:
         """True where MuJoCo loses a grasp (N,) by the creep of its contacts alone."""
         return np.zeros(len(self), dtype=bool) if self.creep is None else ~np.isnan(self.creep).any(axis=1)
 
-    def select(self, rows: np.ndarray) -> Validated:
-        """Return the grasps `rows`, in that order."""
-        return take(self, rows)
-
     @classmethod
-    def join(cls, parts: list[Validated]) -> Validated:
+    def join(cls, parts: Sequence[Validated]) -> Validated:
         """Return the grasps of all parts, which have the same measures."""
         return cls(*(_joined([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 

@@ -7,7 +7,7 @@ from math import log2, pi
 
 import numpy as np
 
-from grasp_refine.core.array_records import take
+from grasp_refine.core.array_records import ArrayRecord
 from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3
@@ -21,7 +21,7 @@ MAX_DRAWS = 4096
 
 
 @dataclass(frozen=True, eq=False)
-class Draws:
+class Draws(ArrayRecord):
     """K worlds, the same for every grasp; vectors are in the frame of the object."""
 
     direction: Float[np.ndarray, "K 3"]
@@ -52,10 +52,6 @@ class Draws:
     def __len__(self) -> int:
         """Return the number of draws."""
         return len(self.mass)
-
-    def select(self, rows: np.ndarray) -> Draws:
-        """Return the draws `rows`."""
-        return take(self, rows)
 
     def only(self, factor: str, protocol: Protocol, mass: float) -> Draws:
         """Return these draws with everything but one factor, and the direction of the push, as in the protocol.

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from grasp_refine.closing.motion import Motion
-from grasp_refine.core.array_records import join, take
+from grasp_refine.core.array_records import ArrayRecord, join
 from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.short_repr import brief
 from grasp_refine.scene.protocols.protocol import AXES
@@ -31,7 +31,7 @@ TORQUE_RANGE_NM = (0.02, 1.28)
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class Limits(ArrayRecord):
     """Extremes at which N grasps hold, all else as in the protocol; each was tried, and the next step lost it."""
 
     friction: Float[np.ndarray, " N"]
@@ -42,10 +42,6 @@ class Limits:
     """Largest torque (N,) about each of the six axes, newton metres; 0: it holds none."""
 
     __repr__ = brief
-
-    def select(self, rows: np.ndarray) -> Limits:
-        """Return the grasps `rows`, in that order."""
-        return take(self, rows)
 
 
 def limits(

@@ -10,7 +10,7 @@ import numpy as np
 
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.arguments import check_kind
-from grasp_refine.core.array_records import join, take
+from grasp_refine.core.array_records import ArrayRecord, join
 from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
@@ -80,7 +80,7 @@ class Worlds:
 
 
 @dataclass(frozen=True, eq=False)
-class Margins:
+class Margins(ArrayRecord):
     """Trials of N grasps in draws that are the same for all, and their limits."""
 
     held: Mapping[str, Bool[np.ndarray, "N K"]]
@@ -138,15 +138,6 @@ class Margins:
         alone = {name: value for name, value in zip(self.trials, probability, strict=True) if name != JOINT}
         name = min(alone, key=lambda each: alone[each], default=NO_FACTOR)  # the first of several, which is the push
         return name if name and alone[name] < 1 else NO_FACTOR
-
-    def select(self, rows: np.ndarray) -> Margins:
-        """Return the grasps `rows`, in that order."""
-        return take(self, rows)
-
-    @classmethod
-    def join(cls, parts: Sequence[Margins]) -> Margins:
-        """Return the grasps of all parts, which were tried in the same draws."""
-        return join(*parts)
 
 
 def other_model_of(hand: Hand) -> HandModel | None:

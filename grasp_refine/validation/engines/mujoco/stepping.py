@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
-from grasp_refine.core.array_records import take
+from grasp_refine.core.array_records import ArrayRecord
 from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.core.short_repr import brief
@@ -46,7 +46,7 @@ StepCallback = Callable[[Batch], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Conditions:
+class Conditions(ArrayRecord):
     """Conditions that differ between N simulations of one world; None: as in the world and its protocol."""
 
     T_world_object: Float[np.ndarray, "N 4 4"]
@@ -85,10 +85,6 @@ class Conditions:
         values = [getattr(self, field.name) for field in fields(self)]
         arrays = [value.reshape(len(value), -1) for value in values if value is not None]
         return np.all([np.isfinite(array).all(axis=1) for array in arrays], axis=0)
-
-    def select(self, rows: np.ndarray) -> Conditions:
-        """Return the conditions of the simulations `rows`."""
-        return take(self, rows)
 
 
 def engine_for(world: World) -> Engine:
