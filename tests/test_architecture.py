@@ -50,6 +50,7 @@ ORDER = (
     "grasp_refine_apps.authoring",
     "grasp_refine_apps.processes",
     "grasp_refine_apps.batch",
+    "grasp_refine_apps.grasp_page",
     "grasp_refine_apps.bench",
     "grasp_refine_apps.bench.align",
     "grasp_refine_apps.bench.grasp",

@@ -17,6 +17,7 @@ from grasp_refine.results.verdict import BAR
 from grasp_refine_apps.batch import words
 from grasp_refine_apps.batch.chart import CHARTED, chart, hint, statistics_row
 from grasp_refine_apps.batch.failed import failed_text, left_over, suspected_text
+from grasp_refine_apps.batch.headline import Verdict, headline_tiles
 from grasp_refine_apps.batch.pictures import Picture
 from grasp_refine_apps.batch.statistics import Statistics, Tally
 from grasp_refine_apps.batch.worst import Case
@@ -95,24 +96,14 @@ def _subtitle(document: Mapping[str, Any], statistics: Statistics) -> str:
 def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[Any]) -> list[dict[str, str]]:
     """Tiles with the most important numbers."""
     tally = statistics.all
-
-    def change(before: int, after: int, of: int, label: str) -> dict[str, str]:
-        tone = "good" if after > before else "bad" if after < before else ""
-        numbers = f"{words.share(before, of).removesuffix(' %')} → {words.share(after, of)}"
-        return {"number": numbers, "words": f"{label}: {whole(before)} → {whole(after)}", "tone": tone}
-
-    tiles = [
-        {
-            "number": whole(tally.usable),
-            "words": "grasps refined"
-            if tally.usable == tally.count
-            else f"of {words.grasps(tally.count)} were refined",
-            "tone": "",
-        },
-        change(int(tally.good[0]), int(tally.good[1]), tally.count, f"quality {BAR} (an estimate)"),
-    ]
+    verdicts = [Verdict(f"quality {BAR} (an estimate)", tuple(tally.good.tolist()), tally.count)]
     if statistics.held is not None:
-        tiles.insert(0, change(*statistics.held, tally.simulated, "held in simulation"))
+        verdicts.insert(0, Verdict("held in simulation", statistics.held, tally.simulated))
+    refined = "grasps refined" if tally.usable == tally.count else f"of {words.grasps(tally.count)} were refined"
+    tiles = [
+        *headline_tiles(verdicts, statistics.distributions),
+        {"number": whole(tally.usable), "words": refined, "tone": ""},
+    ]
     if failed:
         number, kinds = failed_text(failed).split(" ", 1)
         tiles.append({"number": number, "words": f"{kinds} failed", "tone": "bad"})
@@ -162,7 +153,7 @@ def view_command(case: Case) -> str:
 def case_entry(picture: Picture) -> dict[str, Any]:
     """Entries of a case for the macro `figure` of templates; links are relative to the folder of its file."""
     case = picture.case
-    measures = (_measure_text(one, case.measures[one.name]) for one in COMPARED)
+    measures = (_measure_text(one, case.measures[one.name]) for one in COMPARED if _is_known(case, one))
     missed = f"did not hold: {case.reason}" if case.held is False and case.reason else "did not hold"
     file = PurePath(case.source).name
     origin = f"row {case.source_row} of {file}" if file and case.source_row is not None else file
@@ -170,16 +161,23 @@ def case_entry(picture: Picture) -> dict[str, Any]:
         "name": f"{case.hand} on {case.object}",
         "origin": origin,
         "source": case.source,
-        "measures": " · ".join((*measures, case.status)),
+        "measures": " · ".join(filter(None, (*measures, case.status))),
         "verdict": missed if case.held is False else "",
         "file": case.file.as_posix(),
         "link": quote(case.file.as_posix()),
         "row": case.row,
         "command": view_command(case),
-        "before": _embedded(picture.before),
-        "after": _embedded(picture.after),
+        "pictures": [
+            *([("as given", _embedded(picture.before))] if picture.before else []),
+            ("refined" if picture.before else "", _embedded(picture.after)),
+        ],
         "problem": picture.problem,
     }
+
+
+def _is_known(case: Case, measure: Measure) -> bool:
+    """Return whether a case has a value of a measure."""
+    return not all(map(isnan, case.measures[measure.name]))
 
 
 def _measure_text(measure: Measure, values: Iterable[float]) -> str:

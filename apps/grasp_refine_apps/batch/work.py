@@ -19,7 +19,7 @@ from grasp_refine.problem.load import Loader
 from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.refine import Listener, refine_groups, refine_problem
 from grasp_refine.problem.refined import RefinedGrasps
-from grasp_refine.problem.spec import AUTO, NEAREST, ProblemSpec
+from grasp_refine.problem.spec import AUTO, NEAREST
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.solvers.iterate import Progress
@@ -33,7 +33,7 @@ from grasp_refine_apps.batch.plan import ShardTask, task_digest
 from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.processes.task import Failed, Heartbeat
 from grasp_refine_apps.processes.torch_threads import limit_torch_threads
-from grasp_refine_apps.report.command_line import words
+from grasp_refine_apps.report.command_line import view_options
 
 Result = TypeVar("Result")
 
@@ -140,7 +140,7 @@ class BundleWork:
             | {"inputs": settings(task.inputs)}
             | ({} if refined.simulated is None else {"protocol": settings(refined.simulated.protocol)}),
             "source": task.source,
-            "batch": {"stamp": shard.stamp, "job": task.job, "look": _view_options(task.inputs)},
+            "batch": {"stamp": shard.stamp, "job": task.job, "look": view_options(task.inputs)},
             "advice": advice(refined.outcome, self.config),
         }
         name = str(refined.outcome.object[0])
@@ -285,12 +285,6 @@ def check_unchanged(task: ShardTask, loader: Loader, path: Path | None) -> None:
     ):
         if now != planned:
             raise GraspRefineError(f"{what}: changed since the batch was planned; give the same command again")
-
-
-def _view_options(inputs: ProblemSpec) -> list[str]:
-    """Options of `refine-grasp view` to show the result, whose scale is the factor from the mesh to metres."""
-    other = ("grasps", "targets", "scale", "unit", "format", "object_name", "index", "other_object")
-    return list(words(replace(inputs, **{name: getattr(ProblemSpec, name) for name in other})))
 
 
 def peak_bytes() -> int:

@@ -45,7 +45,8 @@ class Case:
     status: str
     """Status of the refinement."""
     measures: Mapping[str, tuple[float, ...]]
-    """Name of a measure of `COMPARED` -> its values before and after, SI units; NaN: not known, as without contact."""
+    """Name of a measure of `COMPARED` -> its values before and after, SI units; NaN: not known, as without contact.
+    Of grasps that were not refined, one value."""
     held: bool | None
     """Whether it held in simulation; None: not simulated."""
     reason: str
@@ -57,7 +58,7 @@ class Case:
     def badness(self) -> tuple[bool, float, float, int, int]:
         """Sort key, greatest for the worst case and unique for each case."""
         # A grasp without contact has no quality, and ranks as the worst.
-        quality, depth = (self.measures[key][1] for key in ("quality", "penetration_m"))
+        quality, depth = (self.measures[key][-1] for key in ("quality", "penetration_m"))
         quality, depth = -1.0 if isnan(quality) else quality, 0.0 if isnan(depth) else depth
         return (self.held is not True, -quality, depth, -self.shard, -self.row)
 

@@ -20,10 +20,8 @@ from grasp_refine.validation.margins.factors import Factors
 from grasp_refine.validation.margins.margins import Margins, check_pushes
 from grasp_refine.validation.validate import Validated
 from grasp_refine_apps.commands.option_rules import OptionGroup
-from grasp_refine_apps.commands.options import OptionalFile
 from grasp_refine_apps.margins.charts import Side
 from grasp_refine_apps.margins.page import page
-from grasp_refine_apps.report.command_line import flag
 
 
 @dataclass(frozen=True)
@@ -38,8 +36,6 @@ class MarginsOptions:
     and torque that it holds. About 40 times the time of the simulation."""
     draws: int = 32
     """Number of drawn worlds, the same for all grasps; best a power of 2. Only with --margins."""
-    html: OptionalFile = None
-    """Write charts of the margins, of two files side by side, to this file. Only with --margins."""
 
     def check(self, protocol: Protocol | None) -> None:
         """Refuse options that are invalid, or have no effect.
@@ -48,9 +44,8 @@ class MarginsOptions:
             GraspRefineError: names them.
         """
         if not self.margins:
-            for option in ("draws", "html"):
-                if getattr(self, option) != getattr(MarginsOptions, option):
-                    raise GraspRefineError(f"{flag(option)} needs --margins")
+            if self.draws != MarginsOptions.draws:
+                raise GraspRefineError("--draws needs --margins")
             return
         if self.draws > MAX_DRAWS:
             raise GraspRefineError(f"--draws must be at most {MAX_DRAWS}, got {self.draws}")
@@ -115,9 +110,10 @@ def add_columns(rows: Sequence[dict[str, Any]], files: Sequence[MeasuredFile]) -
 
 
 def margins_page(files: Sequence[MeasuredFile], *, compared: bool, seed: int) -> str:
-    """Return the page with charts of the margins."""
+    """Return the charts of the margins, a part of a page; empty without margins."""
+    if not files:
+        return ""
     names = ["before", "after"] if compared else [each.path.name for each in files]
     sides = [Side(name, each.margins) for name, each in zip(names, files, strict=True)]
-    hands = ", ".join(dict.fromkeys(each.hand for each in files))
     names = [str(each.path) for each in files]
-    return page(hands, names, sides, compared=compared, seed=seed)
+    return page(names, sides, compared=compared, seed=seed)

@@ -13,7 +13,7 @@ from tyro.conf import arg
 
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.json_files import check_no_input, check_writable, save_json
+from grasp_refine.core.json_files import check_no_input, check_writable, save_json, save_text
 from grasp_refine.core.profiling import Stopwatch, cpu_seconds
 from grasp_refine.motion.plan import TrajectoryOptions
 from grasp_refine.motion.trajectory_files import check_trajectory_file
@@ -42,7 +42,10 @@ from grasp_refine_apps.commands.option_rules import OptionGroup
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.commands.simulation_options import ValidationOptions
+from grasp_refine_apps.grasp_page.page import page
+from grasp_refine_apps.grasp_page.sheet import Sheet
 from grasp_refine_apps.processes.torch_threads import limit_torch_threads
+from grasp_refine_apps.report.command_line import invocation, view_options
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 
@@ -57,6 +60,8 @@ class Output:
     """Folder for the refined grasps, <hand>_<object>.npz."""
     json: OptionalFile = None
     """Write the measures of each grasp to this file, in SI units."""
+    html: OptionalFile = None
+    """Write a page to this file: a card for each grasp with pictures as given and refined, and what changed most."""
     overwrite: Overwrite = False
     verbose: bool = False
     """List all grasps, even if there are more than 40."""
@@ -124,7 +129,11 @@ class Run:
         with watch or nullcontext(), Reporter(screen(stderr=True)) as reporter:
             options = self._trajectory_options()
             check_writable(
-                self.output.json, self.output.trajectory, overwrite=self.output.overwrite, inside=self.output.out
+                self.output.json,
+                self.output.html,
+                self.output.trajectory,
+                overwrite=self.output.overwrite,
+                inside=self.output.out,
             )
             loader = Loader(self.inputs, config.seed, reporter.say, reporter.wait)
             problem = loader.problem()
@@ -163,6 +172,10 @@ class Run:
                 for number, entry in enumerate(document["grasps"]):
                     entry["trajectory"] = planned.entry(number)
             save_json(self.output.json, document)
+        if self.output.html is not None and outcome.usable.any():
+            sheet = Sheet.of_refined(refined, paths)
+            look, called = view_options(self.inputs), invocation("run", self)
+            save_text(self.output.html, page([(sheet, look)], self.output.html, invocation=called))
         if planned is not None and self.output.trajectory is not None:
             planned.save(self.output.trajectory)
         console = screen()
@@ -185,7 +198,7 @@ class Run:
         if not outcome.usable.any():
             console.print("no usable results; no grasps were written")
             return NOTHING_USABLE
-        written = [*paths.values(), *filter(None, (self.output.json, self.output.trajectory))]
+        written = [*paths.values(), *filter(None, (self.output.json, self.output.html, self.output.trajectory))]
         between = " " if len(written) == 1 else "\n  "
         console.print(f"{wall:.1f} s; wrote", *written, sep=between, soft_wrap=True, markup=False)
         return self._show_result(paths) if self.output.view else 0
@@ -278,14 +291,16 @@ class Run:
         """
         out = self.output
         paths = result_paths(out.out, problem.hand.name, tuple(stamps))
-        for path in filter(None, (*paths.values(), out.json, out.trajectory)):
+        for path in filter(None, (*paths.values(), out.json, out.html, out.trajectory)):
             check_no_input(
-                path, problem.files, "the results would overwrite an input; give another --out, --json or --trajectory"
+                path,
+                problem.files,
+                "the results would overwrite an input; give another --out, --json, --html or --trajectory",
             )
         for name, path in paths.items():
             again = is_same_refinement(path, stamps[name], settings(protocol))
             check_writable(path, overwrite=out.overwrite or again, inside=out.out)
-        check_writable(*paths.values(), out.json, overwrite=True, inside=out.out)
+        check_writable(*paths.values(), out.json, out.html, overwrite=True, inside=out.out)
         return paths
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -52,7 +52,9 @@ from grasp_refine_apps.commands.option_rules import OptionGroup
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite, check_numbers
 from grasp_refine_apps.commands.recording import Recording
 from grasp_refine_apps.commands.simulation_options import Robustness, Simulation
-from grasp_refine_apps.report.command_line import flag
+from grasp_refine_apps.grasp_page.page import page
+from grasp_refine_apps.grasp_page.sheet import Sheet
+from grasp_refine_apps.report.command_line import flag, invocation, words
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 
@@ -71,6 +73,9 @@ class Output:
     """Write all results of each grasp to this file, in SI units."""
     rows: OptionalFile = None
     """Write one row per grasp to this .csv or .parquet file."""
+    html: OptionalFile = None
+    """Write a page to this file: a card with a picture for each grasp, with --compare before and after; with --margins
+    their charts."""
     record: bool = False
     """Write the verdict of each engine into FILE (our .npz): beside those of other engines, if protocol, task, closing
     and grasps are the same; else in place of them. `convert --where "held_mujoco=1"` and the viewer filter by them."""
@@ -231,12 +236,12 @@ class Validate:
             for option in ("noise_offset", "noise_degrees"):
                 if getattr(self.robustness, option) != getattr(Robustness, option):
                     raise GraspRefineError(f"{flag(option)} needs --noise N")
-        for path in filter(None, (self.output.json, self.output.rows, self.margins.html)):
+        for path in filter(None, (self.output.json, self.output.rows, self.output.html)):
             check_no_input(path, files, "would overwrite an input; give another name")
         check_writable(
             self.output.json,
             self.output.rows,
-            self.margins.html,
+            self.output.html,
             overwrite=self.output.overwrite,
             inside=self.recording.replays,
         )
@@ -335,11 +340,24 @@ class Validate:
                 add_columns(rows, measured)
             save_table(self.output.rows, rows)
             written.append(self.output.rows)
-        if self.margins.html is not None:
-            compared = self.output.compare is not None
-            save_text(self.margins.html, margins_page(measured, compared=compared, seed=self.robustness.seed))
-            written.append(self.margins.html)
+        if self.output.html is not None:
+            save_text(self.output.html, self._page(self.output.html, files, examined, measured))
+            written.append(self.output.html)
         return written
+
+    def _page(
+        self, path: Path, files: tuple[Path, ...], examined: Sequence[_Examined], measured: Sequence[MeasuredFile]
+    ) -> str:
+        """Return the page for `path`."""
+        parts = [(file, each.problem, each.validated) for file, each in zip(files, examined, strict=True)]
+        compared, look = self.output.compare is not None, tuple(words(replace(self.sources, index=())))
+        if compared:
+            sheets = [Sheet.of_validated("", parts)]
+        else:
+            sheets = [Sheet.of_validated(str(part[0]) if len(parts) > 1 else "", [part]) for part in parts]
+        margins = margins_page(measured, compared=compared, seed=self.robustness.seed)
+        called = invocation("validate", self)
+        return page([(sheet, look) for sheet in sheets], path, invocation=called, margins=margins)
 
 
 @dataclass(frozen=True, eq=False)

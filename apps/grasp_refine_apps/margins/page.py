@@ -13,11 +13,10 @@ from grasp_refine_apps.margins.charts import Side, color_names, factor_bars, lim
 from grasp_refine_apps.report.html_page import rendered
 
 
-def page(hands: str, files: Sequence[str], sides: Sequence[Side], *, compared: bool, seed: int) -> str:
-    """Format the page as HTML; the same input gives the same text.
+def page(files: Sequence[str], sides: Sequence[Side], *, compared: bool, seed: int) -> str:
+    """Format the margins as HTML, a part of a page; the same input gives the same text.
 
     Args:
-        hands: Names of the hands.
         files: Names of the files, one for each side.
         sides: Margins of the grasps of each file.
         compared: Whether two files hold the same grasps before and after.
@@ -28,7 +27,6 @@ def page(hands: str, files: Sequence[str], sides: Sequence[Side], *, compared: b
     with_limits = all(side.margins.limits is not None for side in sides)
     return rendered(
         __package__,
-        title=f"Margins of grasps of {hands}",
         subtitle=f"{counts}; {count_text(draws, 'drawn world')} of seed {seed}, the same for all",
         sides=[(look, side.name, name) for look, side, name in zip(color_names(len(sides)), sides, files, strict=True)],
         bars=factor_bars(sides),

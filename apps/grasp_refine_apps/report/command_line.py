@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, get_type_hints
+
+from grasp_refine.problem.spec import ProblemSpec
 
 WRITTEN = ("json", "html", "markdown", "overwrite")
 """Options for output files."""
@@ -59,6 +61,12 @@ def words(options: Any, group: str = "") -> Iterator[str]:
             yield flag(name, "--" if value else "--no-")
         else:
             yield from (flag(name), *map(str, value if isinstance(value, tuple) else (value,)))
+
+
+def view_options(inputs: ProblemSpec) -> tuple[str, ...]:
+    """Return the options of `refine-grasp view` to show a result, whose scale is the factor from the mesh to metres."""
+    other = ("grasps", "targets", "scale", "unit", "format", "object_name", "index", "other_object")
+    return tuple(words(replace(inputs, **{name: getattr(ProblemSpec, name) for name in other})))
 
 
 def is_nameless(hint: Any) -> bool:

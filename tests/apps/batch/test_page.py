@@ -104,7 +104,8 @@ def test_counts_are_as_in_the_statistics():
     said = words_of(html)
     assert_names(said, "8 grasps", "7 of 8", "12.0 / s")
     tiles = [re.findall(r"[\d.]+", words_of(tile)) for tile in re.findall("<li.*?</li>", html, re.S) if "→" in tile]
-    assert tiles == [["25.0", "62.5", "2", "5"], ["12.5", "75.0", f"{HOLDS:g}", "1", "6"]], "simulation comes first"
+    most, other = ["12.5", "75.0", f"{HOLDS:g}", "1", "6", "8"], ["25.0", "62.5", "2", "5", "8"]
+    assert tiles == [most, other], "62 points, then 38"
     agreement = [
         re.findall(r"\d+", line.rpartition(": ")[2]) for line in re.findall("<p>.*?</p>", html) if " of 8" in line
     ]
@@ -114,6 +115,27 @@ def test_counts_are_as_in_the_statistics():
     assert "converged 5 62.5 % stalled 2 25.0 %" in said
     assert f"no target 1 12.5 % {Status.NO_TARGET.advice}" in said
     assert "refine.starts 6" in said and "sets 8 2 2" in said and "refine-grasp batch sets" in said
+
+
+def headline(**columns: Any) -> str:
+    """Words of the first tile, of 8 grasps that all hold and change in nothing but the columns."""
+    plain = dict(made_up_rows(8, held_before=1.0, good_before=1.0).columns)
+    same = {name.replace("before", "after"): plain[name] for name in plain if name.endswith("_before")}
+    rows = made_up_rows(8, **{**plain, **same, "reason_after": "", **columns})
+    return words_of(re.findall("<li.*?</li>", page(document(), some(rows), ()), re.S)[0])
+
+
+def test_the_largest_message_is_what_changed_most():
+    assert headline().startswith("no change"), "although 100 % hold, before and after"
+    gap = np.linspace(0.010, 0.014, 8)
+    closed = {"contact_error_m_before": gap, "contact_error_m_after": gap / 1000}
+    assert_names(headline(**closed), "→ 0.01 mm", "contact error", "most")
+    # A change of a share of the grasps weighs by that share, and one to the worse as much as one to the better.
+    assert "quality 0.95 or more" in headline(**closed, good_before=0.0), "of equal changes, the verdict"
+    assert "contact error" in headline(**closed, good_before=np.arange(8) < 4)
+    assert "100 → 0 %" in headline(held_after=0.0, contact_error_m_before=gap, contact_error_m_after=gap[::-1] - 1e-3)
+    # Values in which nobody is interested do not count.
+    assert headline(penetration_m_before=1e-6, penetration_m_after=2e-6).startswith("no change")
 
 
 def test_the_page_stays_small_whatever_failed():

@@ -31,9 +31,9 @@ def test_curves_end_at_the_share_of_grasps_that_hold_at_all(limit) -> None:
 
 
 def test_the_page_has_charts_changes_and_names_as_text() -> None:
-    text = page("claw", ["a.npz", "b.npz"], SIDES, compared=True, seed=3)
+    text = page(["a.npz", "b.npz"], SIDES, compared=True, seed=3)
     assert text.count("<svg") == 4 and "after &lt;b&gt;" in text and "after <b>" not in text
     assert "8 drawn worlds of seed 3" in text and "+8.3" in text and "a.npz" in text
     assert "cone" not in text
-    one = page("claw", ["a.npz"], SIDES[:1], compared=False, seed=3)
-    assert "Changes" not in one and one == page("claw", ["a.npz"], SIDES[:1], compared=False, seed=3)
+    one = page(["a.npz"], SIDES[:1], compared=False, seed=3)
+    assert "Changes" not in one and one == page(["a.npz"], SIDES[:1], compared=False, seed=3)

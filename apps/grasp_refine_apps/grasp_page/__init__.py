@@ -1,0 +1,1 @@
+"""HTML page of `run` and `validate`: a card for each grasp."""
