@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
@@ -46,7 +45,7 @@ class Side:
     """Joint values (N, n)."""
 
     @classmethod
-    def of(cls, problem: Problem) -> Self:
+    def of(cls, problem: Problem) -> Side:
         """Return the grasps of a problem, in the requested order."""
         scenes, order = [group.scene for group in problem.groups], problem.order
         T, q = (np.concatenate([getattr(each, name) for each in scenes])[order] for name in ("T_world_root", "q"))
@@ -79,7 +78,7 @@ class Sheet:
     """Lines above the cards."""
 
     @classmethod
-    def of_refined(cls, refined: RefinedGrasps, paths: Mapping[str, Path]) -> Self:
+    def of_refined(cls, refined: RefinedGrasps, paths: Mapping[str, Path]) -> Sheet:
         """Return the sheet of a refinement, whose results are in files: name of the object -> path."""
         outcome, simulated, problem = refined.outcome, refined.simulated, refined.problem
         names = outcome.object.tolist()
@@ -99,7 +98,7 @@ class Sheet:
         )
 
     @classmethod
-    def of_validated(cls, title: str, files: Sequence[tuple[Path, Problem, Validated]]) -> Self:
+    def of_validated(cls, title: str, files: Sequence[tuple[Path, Problem, Validated]]) -> Sheet:
         """Return the sheet of a validated file, or of two files with the same grasps."""
         path, problem, last = files[-1]
         known = [one.name for one in COMPARED if all(one.name in found.metrics.values for *_, found in files)]
@@ -169,8 +168,8 @@ class Sheet:
         """Return the facts about a grasp."""
         held = None if self.held is None else bool(self.held[-1, i])
         reason = "" if self.trials is None or held else str(labels(Reason, self.trials.outcome[[i]])[0])
-        compared = self.held is not None and len(self.held) > 1
-        both = "held: " + " → ".join("yes" if each else "no" for each in self.held[:, i]) if compared else ""
+        sides = [] if self.held is None else ["yes" if each else "no" for each in self.held[:, i]]
+        both = f"held: {' → '.join(sides)}" if len(sides) > 1 else ""
         none = np.full((len(self.sides), len(self)), np.nan)
         group = next(group for group in self.problem.groups if i in group.place)
         several = {each.object for each in self.problem.groups} > {group.object} and len(set(self.files)) == 1
