@@ -18,6 +18,7 @@ def close_until_stopped(
     T_world_root: Float[np.ndarray, "N 4 4"],
     q_open: Float[np.ndarray, "N n"],
     q_end: Float[np.ndarray, "N n"],
+    touch: Float[np.ndarray, "N L"] | float = 0.0,
 ) -> Float[np.ndarray, "N n"]:
     """Return the shares (N, n) of their paths at which the object stops the joints.
 
@@ -30,15 +31,17 @@ def close_until_stopped(
         T_world_root: Poses (N, 4, 4) of the base link, object frame, metres.
         q_open: Joint values (N, n) at which the hand is open.
         q_end: Joint values (N, n) at which the paths end.
+        touch: Distances (N, L), at most 0, from which on links touch: less for links that are in the object already.
     """
     chain, path = prepared.chain, q_end - q_open
+    touch = np.broadcast_to(touch, (len(path), len(chain.links)))
 
     def touches(rows: np.ndarray, share: np.ndarray, step: np.ndarray) -> Bool[np.ndarray, "R n"]:
         T_link = chain(T_world_root[rows], q_open[rows] + share * path[rows]).T_world_link
         # Links whose joints all stopped need no query.
         cutoff = np.where((chain.moves & (step > 0.0)[:, None]).any(axis=2), 0.0, np.nan)
         witness = prepared.query(np.zeros(len(rows), dtype=np.int64), T_link, cutoff=cutoff)
-        return ((witness.valid & (witness.distance <= 0.0))[..., None] & chain.moves).any(axis=1)
+        return ((witness.valid & (witness.distance <= touch[rows]))[..., None] & chain.moves).any(axis=1)
 
     step = np.where(path != 0.0, 1.0 / NUM_STEPS, 0.0)
     return step_until_stopped(np.zeros_like(path), step, touches, (0.0, 1.0), NUM_STEPS)[0]

@@ -13,6 +13,7 @@ import pytest
 import trimesh
 
 from browser import ViserPage, act, until
+from grasp_refine.core.se3 import transform_points
 from grasp_refine.problem.problem import Problem
 from grasp_refine_apps.viewer.drawing.shapes import LinkPoses
 from grasp_refine_apps.viewer.model.columns import STATUS
@@ -267,6 +268,29 @@ def test_hints_stand_beside_the_panel(page: ViserPage) -> None:
     hint.wait_for(state="visible")
     until(lambda: (box := hint.bounding_box()) and box["x"] + box["width"] <= panel["x"] + 1, "a hint aside")
     page.page.mouse.move(100, 600)
+
+
+def test_a_fingertip_that_is_dragged_takes_its_finger_along(viewer: Viewer, page: ViserPage) -> None:
+    made = viewer.controller
+    page.tab("Edit")
+    act(lambda: page.row("Fingers").locator("input").check(), lambda: made.state.gizmo == "fingers", "the choice")
+    before, camera = made.state.pose, page.camera()
+    middle = viewer.view.nodes.shapes[20].vertices.astype(float).mean(axis=0)
+    x, y = page.pixel(transform_points(page.pose(THUMB), middle))
+
+    def drag() -> None:
+        page.page.mouse.move(x, y)
+        page.page.mouse.down()
+        page.page.mouse.move(x + 40, y + 20, steps=5)
+        page.page.mouse.up()
+
+    act(drag, lambda: made.state.undo_steps, "a finger that follows")
+    page.let_it_send()
+    until(lambda: not np.array_equal(made.state.pose.q[12:], before.q[12:]), "another thumb")
+    assert np.array_equal(made.state.pose.q[:12], before.q[:12])
+    wait_for_pose(viewer, page, made.state.pose)
+    np.testing.assert_allclose(page.camera(), camera, atol=1e-9)
+    made.set(gizmo="none")
 
 
 @pytest.mark.slow

@@ -168,7 +168,7 @@ class GraspNodes:
             self.environment = EnvironmentNodes(scene, f"{GRASP_NODE}/environment", state.scene.environment, obj.body)
         self._ground: Ground | None = None
         self._shadow_of: tuple[bytes, ...] | None = None
-        self.interaction = Interaction(scene, controller, self.hand, self.object, self.targets, length)
+        self.interaction = Interaction(scene, controller, self.prepared, self.hand, self.object, self.targets, length)
 
     def draw(self, state: State) -> None:
         """Update all nodes to a state."""

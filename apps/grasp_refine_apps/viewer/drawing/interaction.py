@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from functools import partial
+from threading import Lock
 from typing import Any, Literal
 
 import numpy as np
@@ -12,10 +13,13 @@ import viser
 
 from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.drawing.picking import hit_mesh, nearest_on_surface
 from grasp_refine_apps.viewer.drawing.scene_nodes import HandMeshes, Meshes, PointMarkers, place
 from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.jobs.following import draggable_links
 from grasp_refine_apps.viewer.model.painting import Camera
+from grasp_refine_apps.viewer.model.pose import Target
 from grasp_refine_apps.viewer.model.state import State
 
 BRUSH_KEY: Literal["shift"] = "shift"
@@ -32,6 +36,7 @@ class Interaction:
         self,
         scene: viser.SceneApi,
         controller: Controller,
+        prepared: HandObject,
         hand: HandMeshes,
         obj: Meshes,
         targets: PointMarkers,
@@ -42,16 +47,20 @@ class Interaction:
         Args:
             scene: Scene of the gizmos.
             controller: Receiver of the commands.
+            prepared: Hand and object.
             hand: Meshes of the shown hand.
             obj: Meshes of the shown object.
             targets: Markers of the target points on the object.
             length: Approximate size of the gizmos in metres.
         """
         self._scene, self._controller, self._length = scene, controller, length
-        self._hand, self._object, self._targets = hand, obj, targets
+        self._prepared, self._hand, self._object, self._targets = prepared, hand, obj, targets
         self.gizmos: dict[str, Any] = {}
         """The gizmo that is shown, by the body that it moves."""
-        self._picking = self._painting = False
+        self._picking = self._painting = self._fingers = False
+        self._grabbed = np.zeros(3)
+        """Point of the dragged link (3,), link frame."""
+        self._following, self._newest = Lock(), 0
         self._dragged = -np.inf
         self._read: tuple[str, np.ndarray] | None = None
         """Link that is read, and the clicked point on it (3,), link frame."""
@@ -68,9 +77,10 @@ class Interaction:
             self._listen(state.picking)
         self._draw_reading(state)
         self._listen_to_brush(state.brush != "off" and state.motion is None)
+        self._listen_to_fingers(state.gizmo == "fingers" and state.motion is None)
         for kind in [kind for kind in self.gizmos if kind != state.gizmo]:
             self.gizmos.pop(kind).remove()
-        if state.gizmo == "none" or state.motion is not None:
+        if state.gizmo in ("none", "fingers") or state.motion is not None:
             return
         T = state.T_world_object if state.gizmo == "object" else state.T_world_object @ state.shown.T_object_root
         node = self.gizmos.get(state.gizmo)
@@ -100,6 +110,31 @@ class Interaction:
         """Return whether a phase of a drag moves anything; a start begins another drag."""
         self._drag += phase == "start"
         return phase != "start"
+
+    def _listen_to_fingers(self, dragging: bool) -> None:
+        """Make the links that fingers move draggable, or not."""
+        if dragging == self._fingers:
+            return
+        self._fingers = dragging
+        links = draggable_links(self._prepared)
+        for k, (shape, node) in enumerate(zip(self._hand.shapes, self._hand.nodes, strict=True)):
+            if dragging and shape.link in links:
+                node.on_drag(partial(self._drag_link, k))
+            else:
+                node.remove_drag_callback("all")
+
+    def _drag_link(self, k: int, event: Any) -> None:
+        """Let a finger follow; of movements that come while it is moved, the newest counts."""
+        state, link = self._controller.state, self._hand.shapes[k].link
+        if not self._moves(event.phase):
+            T = state.T_world_object @ self._hand.poses(state.shown.T_object_root, state.shown.q)[link]
+            self._grabbed = transform_points(inverse(T), np.array(event.start_position))
+            return
+        self._newest = number = self._newest + 1
+        with self._following:
+            if number == self._newest and state.motion is None:
+                wanted = transform_points(inverse(state.T_world_object), np.array(event.end_position))
+                self._controller.editor.move_finger(Target(link, self._grabbed, wanted), self._drag)
 
     def _listen(self, picking: bool) -> None:
         """Make links and object clickable, or not."""

@@ -10,9 +10,10 @@ import numpy as np
 
 from grasp_refine.core.se3 import inverse
 from grasp_refine.objects.region import ContactRegions
+from grasp_refine_apps.viewer.jobs.following import follow
 from grasp_refine_apps.viewer.jobs.store import Store
 from grasp_refine_apps.viewer.meters.meter import ContactMeter
-from grasp_refine_apps.viewer.model.pose import Pose, targets_of
+from grasp_refine_apps.viewer.model.pose import Pose, Target, targets_of
 from grasp_refine_apps.viewer.model.state import State
 from grasp_refine_apps.viewer.model.work import NO_RESULTS
 
@@ -55,6 +56,14 @@ class Editor:
                 q = now.q.copy()
                 q[index] = np.clip(value, hand.lower[index], hand.upper[index])
                 self.edit(f"joint {index}", pose=Pose(now.T_object_root, q))
+
+    def move_finger(self, wanted: Target, drag: int) -> None:
+        """Bring a point of a link towards a point by the joints of its finger, see `follow`; `drag` as above."""
+        scene, now = self._store.state.scene, self._store.state.standing
+        pose = self._contacts.using(scene, lambda prepared: follow(prepared, scene, now, wanted))
+        with self._store.lock:
+            if self._store.state.scene is scene:
+                self.edit(edit_name(f"finger {wanted.link}", drag), pose=pose)
 
     def move_object(self, T_world_object: np.ndarray, drag: int | None = None) -> None:
         """Move the object to a pose (4, 4), world frame, while the hand stays where it is drawn; `drag` as above."""

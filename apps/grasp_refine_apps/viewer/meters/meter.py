@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from threading import Lock
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from grasp_refine_apps.viewer.model.counted import Counted
 from grasp_refine_apps.viewer.model.pose import Pose, posed_scene
 from grasp_refine_apps.viewer.model.state import State
 from grasp_refine_apps.viewer.model.work import Work
+
+Made = TypeVar("Made")
 
 
 class ContactMeter:
@@ -39,6 +42,11 @@ class ContactMeter:
         """Return hand and object of a scene; other threads may look at them, but not query them."""
         with self._lock:
             return self._of(scene)
+
+    def using(self, scene: Scene, use: Callable[[HandObject], Made]) -> Made:
+        """Return the result of `use`, which may query hand and object of a scene."""
+        with self._lock:
+            return use(self._of(scene))
 
     def __call__(self, state: State) -> Contacts:
         """Return the contacts of the shown grasp; in a simulation, the contacts before it."""

@@ -23,7 +23,7 @@ from grasp_refine_apps.viewer.model.validated import TrialResult
 from grasp_refine_apps.viewer.model.work import Work, Works
 
 JobKind = Literal["load", "cut", "measure", "targets", "refine", "batch", "validate", "plan", "replay", "export"]
-Gizmo = Literal["none", "hand", "object"]
+Gizmo = Literal["none", "hand", "object", "fingers"]
 
 MAX_SHELVED = 6
 """Number of the last opened files that are kept; files with unsaved grasps are always kept."""
@@ -139,7 +139,7 @@ class State:
     job: Job | None = None
     """Running job."""
     gizmo: Gizmo = "none"
-    """Body that can be dragged."""
+    """Body that can be dragged; fingers are dragged by their links."""
     brush: Brush = "off"
     """Kind of region that the mouse paints on the object."""
     picking: bool = False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
@@ -14,6 +15,13 @@ from grasp_refine_apps.viewer.model.state import Gizmo, State
 from grasp_refine_apps.viewer.panels.joints import Joints
 from grasp_refine_apps.viewer.panels.region_panel import RegionPanel
 from grasp_refine_apps.viewer.panels.widgets import LiveInput, in_a_row, on_choice, on_click
+
+GIZMOS: Mapping[Gizmo, str] = {
+    "hand": "Arrows and rings that move the hand",
+    "object": "Arrows and rings that move the object",
+    "fingers": "Drag a link: its finger follows within its limits, and stops at the object",
+}
+"""Bodies that the mouse moves, and how."""
 
 
 class EditPanel:
@@ -29,14 +37,12 @@ class EditPanel:
             "Reset", icon=viser.Icon.ROTATE, hint="Reset hand, object and targets to the input grasp"
         )
         in_a_row(gui, (self.undo, self.redo, self.reset))
-        gizmos: tuple[Gizmo, ...] = ("hand", "object")
         with gui.add_folder("Move with the mouse"):
             self.gizmos = {
                 body: LiveInput(
-                    gui.add_checkbox(f"{body.capitalize()}", False, hint=f"Arrows and rings that move the {body}"),
-                    partial(self._show_gizmo, body),
+                    gui.add_checkbox(f"{body.capitalize()}", False, hint=hint), partial(self._show_gizmo, body)
                 )
-                for body in gizmos
+                for body, hint in GIZMOS.items()
             }
         with gui.add_folder("Targets"):
             self.picking = LiveInput(
@@ -100,7 +106,7 @@ class EditPanel:
         self.joints.draw(hand, shown.q)
 
     def _show_gizmo(self, body: Gizmo, shown: bool) -> None:
-        """Show or hide the arrows and rings that move the hand or the object."""
+        """Let the mouse move a body, or nothing."""
         self._controller.set(gizmo=body if shown else "none")
 
     def _delete(self, link: str) -> None:

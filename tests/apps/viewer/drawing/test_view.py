@@ -348,6 +348,32 @@ def test_a_gizmo_moves_what_it_stands_at_in_one_step_for_each_drag(view: View, v
         np.testing.assert_allclose(now.T_world_object, ASIDE if kind == "hand" else aside @ ASIDE, atol=1e-7)
 
 
+def test_a_finger_follows_a_drag_of_its_link_in_one_step(view: View, viewer: Controller) -> None:
+    viewer.editor.edit("", T_world_object=ASIDE)
+    viewer.set(gizmo="fingers")
+    view.draw(viewer.state)
+    interaction, start = view.nodes.interaction, viewer.state
+    assert not interaction.gizmos
+    k = [shape.link for shape in view.nodes.hand.shapes].index(TIP)
+    point = np.array([0.003, 0.0, 0.01])
+
+    def grabbed() -> np.ndarray:
+        return transform_points(ASIDE @ link_poses(viewer)[TIP], point)
+
+    first, q = grabbed(), start.shown.q.copy()
+    q[2:4] -= 0.1
+    T = ASIDE @ view.nodes.hand.poses(start.shown.T_object_root, q)[TIP]
+    bent = transform_points(T, point)
+    for phase, share in (("start", 0.0), ("update", 0.5), ("end", 1.0)):
+        event = SimpleNamespace(phase=phase, start_position=grabbed(), end_position=first + share * (bent - first))
+        interaction._drag_link(k, event)
+    np.testing.assert_allclose(grabbed(), bent, atol=1e-4)
+    assert len(viewer.state.undo_steps) == len(start.undo_steps) + 1
+    viewer.set(gizmo="none")
+    view.draw(viewer.state)
+    assert not interaction._fingers
+
+
 def test_another_object_takes_the_place_of_the_first(view: View, viewer: Controller) -> None:
     before = view.nodes
     other = controller(example(object="bottle", hand="allegro"))
