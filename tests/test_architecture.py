@@ -58,6 +58,7 @@ ORDER = (
     "grasp_refine_apps.bench.stability",
     "grasp_refine_apps.bench.success",
     "grasp_refine_apps.bench.scans",
+    "grasp_refine_apps.bench.transfer",
     "grasp_refine_apps.bench.gate",
     "grasp_refine_apps.viewer",
     "grasp_refine_apps.viewer.model",

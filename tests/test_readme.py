@@ -28,7 +28,9 @@ from readme import PAGES, PYTHON, TEXT, blocks, extension_blocks, facade_blocks,
 MEASURED = "Performance"
 """Section of README with a table of what was measured."""
 
-BENCHES = tuple(f"bench {name}" for name in ("align", "queries", "stability", "grasp", "scans", "success", "--gate"))
+BENCHES = tuple(
+    f"bench {name}" for name in ("align", "queries", "stability", "grasp", "scans", "success", "transfer", "--gate")
+)
 
 
 def test_the_example_in_python_runs():

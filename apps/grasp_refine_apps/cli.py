@@ -43,6 +43,7 @@ COMMANDS = {
     "bench scans": "grasps refined on scans, on hulls, reconstructions and hypotheses, tried on the true object",
     "bench stability": "error counts of witness queries and derivatives, by body, size, state and method",
     "bench success": "grasps that hold in simulation, as given and refined; by hand, object, source and protocol",
+    "bench transfer": "grasps of one hand as grasps of others: joint copy, inverse kinematics, transfer, tried",
     "bench --gate": "check for regressions: ratios of one run against a committed baseline",
     "doctor": "check the installation, missing packages, and the capabilities of this machine",
 }

@@ -23,7 +23,7 @@ from grasp_refine.transfers.key_points import MANO, KeyPoints
 from grasp_refine.transfers.merging import merged
 from grasp_refine.transfers.mirror import mirror_plane, mirrored
 from grasp_refine.transfers.source_grasps import SourceGrasps, source_grasps
-from grasp_refine.transfers.transfer import transfer_grasps
+from grasp_refine.transfers.transfer import Place, transfer_grasps
 
 
 def to_transfer(group: Group, hand: Hand, task: Task, source: Scene | KeyPoints) -> Group:
@@ -44,8 +44,12 @@ def at_rest(hand: Hand, count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.tile(np.eye(4), (count, 1, 1)), np.tile(hand.rest, (count, 1))
 
 
-def transferred(problem: Problem, hand: Hand, points: KeyPoints | None = None) -> Problem:
+def transferred(
+    problem: Problem, hand: Hand, points: KeyPoints | None = None, *, place: Place = transfer_grasps
+) -> Problem:
     """Return the grasps of a problem, or in their places the grasps of a human hand, transferred to a hand.
+
+    `place` brings grasps to the hand.
 
     Raises:
         GraspRefineError: one of the hands is on an arm, or cannot grip.
@@ -57,11 +61,11 @@ def transferred(problem: Problem, hand: Hand, points: KeyPoints | None = None) -
         to_transfer(group, hand, group.scene.task, group.scene if points is None else take(points, group.rows))
         for group in problem.groups
     )
-    return with_transfers(replace(problem, hand=hand, groups=groups, notes=(*problem.notes, *hand.notes)))
+    return with_transfers(replace(problem, hand=hand, groups=groups, notes=(*problem.notes, *hand.notes)), place)
 
 
-def with_transfers(problem: Problem) -> Problem:
-    """Return the problem with its grasps transferred from their sources.
+def with_transfers(problem: Problem, place: Place = transfer_grasps) -> Problem:
+    """Return the problem with its grasps transferred from their sources by `place`.
 
     Raises:
         HandError: no joint of a hand moves a link that is meant to touch.
@@ -82,7 +86,7 @@ def with_transfers(problem: Problem) -> Problem:
     joints = (scenes[0].hand, np.concatenate([scene.q for scene in scenes])) if scenes else None
     prepared = HandObject(hand, objects[0], others=objects[1:])
     counts = [len(group.rows) for group in problem.groups]
-    moved = transfer_grasps(join(*parts), prepared, np.repeat(number, counts), joints)
+    moved = place(join(*parts), prepared, np.repeat(number, counts), joints)
     groups, begin = [], 0
     for group in problem.groups:
         some = take(moved, slice(begin, begin + len(group.rows)))

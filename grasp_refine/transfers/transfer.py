@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,11 +49,37 @@ class Transferred:
     """Points (N, L, 3) on the object where they should, object frame, metres."""
 
 
+Joints = tuple[Hand, Float[np.ndarray, "N s"]]
+"""Hand of a source, and its joint values (N, s)."""
+
+Place = Callable[[SourceGrasps, HandObject, Int[np.ndarray, " N"], Joints | None], Transferred]
+"""Way to bring grasps to a hand, such as `transfer_grasps`, of the same arguments."""
+
+
+def copied_grasps(
+    source: SourceGrasps,
+    prepared: HandObject,
+    number: Int[np.ndarray, " N"],
+    joints: Joints | None = None,
+) -> Transferred:
+    """Return grasps of a hand that is laid over the hand of a source, with its joints copied finger by finger.
+
+    They know nothing of the object, and are what transfers are compared with. Arguments are as of `transfer_grasps`.
+    """
+    hand, frame = prepared.hand, HandFrame.of(prepared.hand)
+    members = _members(source, frame)
+    members = take(members, _cheapest(members, np.zeros(len(members.row)), 1))
+    wishes = members.wishes(source, frame)
+    copied = wishes.q if joints is None else copied_joints(joints[0], joints[1], hand, members.postures(source))
+    none = np.full((2, len(source), len(prepared.chain.links), 3), np.nan)
+    return Transferred(wishes.T, copied, original_of(source, hand, members.taken), *none)
+
+
 def transfer_grasps(
     source: SourceGrasps,
     prepared: HandObject,
     number: Int[np.ndarray, " N"],
-    joints: tuple[Hand, Float[np.ndarray, "N s"]] | None = None,
+    joints: Joints | None = None,
 ) -> Transferred:
     """Return grasps of a hand whose fingers touch where the fingers of a source do, and whose palm is near its palm.
 

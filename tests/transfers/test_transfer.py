@@ -20,7 +20,7 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.transfers.placement import Pads
 from grasp_refine.transfers.source_grasps import source_grasps
-from grasp_refine.transfers.transfer import Transferred, transfer_grasps
+from grasp_refine.transfers.transfer import Transferred, copied_grasps, transfer_grasps
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +46,17 @@ def pad_misses(found: Transferred, hand: Hand) -> np.ndarray:
     points = Pads.of(hand).points(hand, found.T, found.q)
     order = [HandFrame.of(hand).fingers.index(finger) for finger in hand.fingers]
     return np.linalg.norm(points[:, order] - found.original.point[:, :, None], axis=-1).min(axis=2)
+
+
+def test_copied_joints_of_the_same_hand_are_its_own(shadow: Problem):
+    scene, hand = shadow.groups[0].scene, load_hand("shadow_palm")
+    number = np.zeros(len(scene.q), dtype=np.int64)
+    found = copied_grasps(source_grasps(scene), HandObject(hand, scene.object), number, (scene.hand, scene.q))
+    np.testing.assert_allclose(found.q, scene.q, atol=1e-9)
+    assert np.isnan(found.target_link).all()
+    # Laid over another pose of the same hand, the palm is where it is.
+    moved, turned = distances(scene.T_world_root, found.T)
+    assert moved.max() < 1e-9 and turned.max() < 1e-6
 
 
 def test_the_same_hand_gets_its_own_grasps_back(shadow: Problem):

@@ -126,6 +126,13 @@ class Table:
         return table
 
 
+def failed_table(problems: Sequence[str]) -> list[Table]:
+    """Return the table of the cases that failed, given "case: traceback" of each; none without."""
+    failed = [problem.partition(": ") for problem in problems]
+    lines = [{"case": case, "reason": reason.strip().splitlines()[-1]} for case, _, reason in failed]
+    return [Table("Cases that failed", [Column("case", "case"), Column("reason", "failed")], lines)] if lines else []
+
+
 @dataclass(frozen=True)
 class Note:
     """Paragraphs of text, separated by empty lines."""

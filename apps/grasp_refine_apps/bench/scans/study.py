@@ -17,7 +17,7 @@ from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.margins.intervals import wilson
 from grasp_refine_apps.bench.chart import Axis, Chart, Row
 from grasp_refine_apps.bench.jobs import Job
-from grasp_refine_apps.bench.report import Column, Note, Report, Table
+from grasp_refine_apps.bench.report import Column, Note, Report, Table, failed_table
 from grasp_refine_apps.bench.scans.measure import Case, Measured, Measurement
 from grasp_refine_apps.bench.success.assets import HandCase, ObjectCase, find_hands, read_objects
 from grasp_refine_apps.bench.success.trials import Trial
@@ -105,11 +105,7 @@ class ScanStudy:
             )
         lines = [row for row in rows if row["by"] == OBJECT]
         parts.append(Table("By object, all views", OF_OBJECT, lines, folded=True, only="page"))
-        if problems:
-            failed = [problem.partition(": ") for problem in problems]
-            wrong = [{"case": case, "reason": reason.strip().splitlines()[-1]} for case, _, reason in failed]
-            parts.append(Table("Cases that failed", [Column("case", "case"), Column("reason", "failed")], wrong))
-        return Report("Grasps on scans", parts)
+        return Report("Grasps on scans", [*parts, *failed_table(problems)])
 
 
 def calibration_error(bins: Sequence[Row]) -> float:
@@ -140,9 +136,9 @@ def _row(some: Sequence[Measured]) -> Row:
     return {
         "way": some[0].way,
         "grasps": count,
-        **_interval("held", held),
+        **interval("held", held),
         "answered": float(answered.mean()) if np.isfinite(quality).any() else None,
-        **_interval("answered_held", held[answered]),
+        **interval("answered_held", held[answered]),
         "points": float(np.median([one.points for one in some])),
         "completion_ms": 1e3 * float(np.mean([one.completion_s for one in some])),
         "refinement_ms": 1e3 * sum(one.refinement_s for one in some) / count,
@@ -150,7 +146,7 @@ def _row(some: Sequence[Measured]) -> Row:
     }
 
 
-def _interval(name: str, held: np.ndarray) -> Row:
+def interval(name: str, held: np.ndarray) -> Row:
     """Return the share that held and its interval; None without any."""
     keys = name, f"{name}_lower", f"{name}_upper"
     if not len(held):
@@ -180,7 +176,7 @@ def _bins(some: Sequence[Measured]) -> list[Row]:
         label = f"{k / NUM_BINS:.1f} to {(k + 1) / NUM_BINS:.1f}"
         promised = float(np.nan_to_num(quality[at]).mean())
         found.append(
-            {"by": BIN, "label": label, "grasps": int(at.sum()), "promised": promised, **_interval("held", held[at])}
+            {"by": BIN, "label": label, "grasps": int(at.sum()), "promised": promised, **interval("held", held[at])}
         )
     return found
 

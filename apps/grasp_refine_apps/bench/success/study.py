@@ -25,7 +25,7 @@ from grasp_refine_apps.batch.work import cache_of
 from grasp_refine_apps.batch.worst import Case as Pictured
 from grasp_refine_apps.bench.chart import Axis, Chart, Row, group_rows
 from grasp_refine_apps.bench.jobs import Job
-from grasp_refine_apps.bench.report import MISSING, SCALES, Column, Figures, Note, Only, Report, Table
+from grasp_refine_apps.bench.report import MISSING, SCALES, Column, Figures, Note, Only, Report, Table, failed_table
 from grasp_refine_apps.bench.success.assets import SIZES
 from grasp_refine_apps.bench.success.cases import SAMPLED, Axes, load_case
 from grasp_refine_apps.bench.success.measure import (
@@ -143,11 +143,7 @@ class SuccessStudy:
         if agreed := _pivoted([row for row in rows if row["by"] == ENGINES], methods):
             parts.append(Table("Agreement of engines", AGREEMENT, agreed, AGREEMENT_NOTE))
         parts.append(_reasons(every, columns))
-        if problems:
-            failed = [problem.partition(": ") for problem in problems]
-            lines = [{"case": case, "reason": reason.strip().splitlines()[-1]} for case, _, reason in failed]
-            parts.append(Table("Cases that failed", [Column("case", "case"), Column("reason", "failed")], lines))
-        return Report("Success of grasps", [*parts, *self._pictures(rows)])
+        return Report("Success of grasps", [*parts, *failed_table(problems), *self._pictures(rows)])
 
     def _pictures(self, rows: Sequence[Row]) -> Iterator[Figures]:
         """Draw failures by reason, where there is a folder of results."""
