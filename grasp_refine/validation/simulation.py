@@ -229,12 +229,7 @@ def push(
             wanted[:, :3, 3] += _lift(rows, protocol, check) * world.up
         else:
             rows.step(protocol.steps_per_check)
-        moved, turned = distances(wanted, rows.object_poses())
-        found = np.select(
-            [rows.runaway != "", rows.unstable, moved >= protocol.farthest, turned >= protocol.steepest],
-            [Reason.HAND_UNSTABLE, Reason.UNSTABLE, Reason.MOVED, Reason.ROTATED],
-            Reason.HELD,
-        )
+        moved, turned, found = judge_pushed(rows, wanted, protocol)
         failed = undecided & (found != Reason.HELD)
         decided = undecided if check == protocol.checks else failed
         reason[failed] = found[failed]
@@ -274,6 +269,25 @@ def push(
         runaway=_first_name(closed.runaway, rows.runaway.reshape(shape)),
         pushed_m=pushed.reshape(*shape, -1).max(axis=1) if world.neighbours else None,
     )
+
+
+def judge_pushed(
+    rows: Simulations, wanted: Float[np.ndarray, "R 4 4"], protocol: Protocol
+) -> tuple[Float[np.ndarray, " R"], Float[np.ndarray, " R"], Int[np.ndarray, " R"]]:
+    """Return how far objects moved (R,), metres, and turned (R,), radians, and a `Reason` (R,): HELD or why not.
+
+    Args:
+        rows: Simulations.
+        wanted: Poses (R, 4, 4) at which the objects should be.
+        protocol: Limits of movement.
+    """
+    moved, turned = distances(wanted, rows.object_poses())
+    found = np.select(
+        [rows.runaway != "", rows.unstable, moved >= protocol.farthest, turned >= protocol.steepest],
+        [Reason.HAND_UNSTABLE, Reason.UNSTABLE, Reason.MOVED, Reason.ROTATED],
+        Reason.HELD,
+    )
+    return moved, turned, found
 
 
 def _first_name(closing: np.ndarray, pushes: np.ndarray) -> np.ndarray:

@@ -293,6 +293,27 @@ def test_a_fingertip_that_is_dragged_takes_its_finger_along(viewer: Viewer, page
     made.set(gizmo="none")
 
 
+def test_an_object_is_pulled_with_the_mouse_while_it_is_simulated(viewer: Viewer, page: ViserPage) -> None:
+    made = viewer.controller
+    made.grasps.show(1)
+    page.tab("Validate")
+    page.click("Pull live")
+    page.wait_for_text("held so far")
+    x, y = page.pixel((0.0, 0.0, 0.02))
+    page.page.mouse.move(x, y)
+    page.page.mouse.down()
+    page.page.mouse.move(x - 60, y + 40, steps=5)
+    until(lambda: made.state.motion.is_pushed(0), "a force")
+    page.page.mouse.up()
+    until(lambda: not made.state.motion.is_pushed(0), "no force after the mouse")
+    page.enter("Pull, N", 30)
+    page.wait_for_text("lost (")
+    until(lambda: made.state.job is None, "the end")
+    assert page.button("Pull live").is_enabled()
+    page.tab("Refine")
+    until(lambda: made.state.motion is None, "the grasp")
+
+
 @pytest.mark.slow
 def test_a_link_ends_where_two_clicks_in_the_scene_said(viewer: Viewer, page: ViserPage) -> None:
     made = viewer.controller

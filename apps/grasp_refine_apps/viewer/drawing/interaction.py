@@ -57,9 +57,9 @@ class Interaction:
         self._prepared, self._hand, self._object, self._targets = prepared, hand, obj, targets
         self.gizmos: dict[str, Any] = {}
         """The gizmo that is shown, by the body that it moves."""
-        self._picking = self._painting = self._fingers = False
+        self._picking = self._painting = self._fingers = self._pulling = False
         self._grabbed = np.zeros(3)
-        """Point of the dragged link (3,), link frame."""
+        """Point of the dragged link (3,), link frame, or of the pulled object, object frame."""
         self._following, self._newest = Lock(), 0
         self._dragged = -np.inf
         self._read: tuple[str, np.ndarray] | None = None
@@ -77,6 +77,7 @@ class Interaction:
             self._listen(state.picking)
         self._draw_reading(state)
         self._listen_to_brush(state.brush != "off" and state.motion is None)
+        self._listen_to_pulls(state.motion is not None and state.motion.live)
         self._listen_to_fingers(state.gizmo == "fingers" and state.motion is None)
         for kind in [kind for kind in self.gizmos if kind != state.gizmo]:
             self.gizmos.pop(kind).remove()
@@ -135,6 +136,28 @@ class Interaction:
             if number == self._newest and state.motion is None:
                 wanted = transform_points(inverse(state.T_world_object), np.array(event.end_position))
                 self._controller.editor.move_finger(Target(link, self._grabbed, wanted), self._drag)
+
+    def _listen_to_pulls(self, pulling: bool) -> None:
+        """Make the object draggable in a live simulation, or not."""
+        if pulling == self._pulling:
+            return
+        self._pulling = pulling
+        for node in self._object.nodes:
+            if pulling:
+                node.on_drag(self._drag_pulled)
+            else:
+                node.remove_drag_callback("all")
+
+    # Asynchronous, so that it is called at once and in order.
+    async def _drag_pulled(self, event: Any) -> None:
+        """Pull the grabbed point of the object with the mouse."""
+        state = self._controller.state
+        if event.phase == "start":
+            T = state.T_world_object @ state.T_shown_object
+            self._grabbed = transform_points(inverse(T), np.array(event.start_position))
+        towards = transform_points(inverse(state.T_world_object), np.array(event.end_position))
+        ends = event.phase == "end"
+        self._controller.simulation.pull_point(*(None, None) if ends else (self._grabbed, towards))
 
     def _listen(self, picking: bool) -> None:
         """Make links and object clickable, or not."""

@@ -147,7 +147,7 @@ class Editor:
     def interrupt(self) -> None:
         """Stop a running job of the shown grasp; other jobs continue."""
         job = self._store.state.job
-        if job is not None and job.kind in ("targets", "refine", "validate", "replay"):
+        if job is not None and job.kind in ("targets", "refine", "validate", "replay", "pull"):
             self._store.stop()
 
     def _exchange(self, out: str, into: str) -> None:

@@ -46,6 +46,8 @@ class Recording:
     """Whether the hand goes somewhere else than to the grasp, so that cameras show both ends."""
     succeeds: bool = True
     """Whether the object is held, or the trajectory is free."""
+    live: bool = False
+    """Whether it is one frame of a simulation that runs."""
     carries: bool = False
     """Whether the object stays with the hand to the end."""
 

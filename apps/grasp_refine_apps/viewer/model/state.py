@@ -22,7 +22,9 @@ from grasp_refine_apps.viewer.model.trace import Trace
 from grasp_refine_apps.viewer.model.validated import TrialResult
 from grasp_refine_apps.viewer.model.work import Work, Works
 
-JobKind = Literal["load", "cut", "measure", "targets", "refine", "batch", "validate", "plan", "replay", "export"]
+JobKind = Literal[
+    "load", "cut", "measure", "targets", "refine", "batch", "validate", "plan", "replay", "pull", "export"
+]
 Gizmo = Literal["none", "hand", "object", "fingers"]
 
 MAX_SHELVED = 6

@@ -118,8 +118,12 @@ class Viewer:
 
     def _change_tab(self, tab: str) -> None:
         """End a replay when another tab is opened that is about the grasp itself."""
-        if tab in GRASP_TABS and self.controller.state.motion is not None:
-            self.controller.player.show(None)
+        job = self.controller.state.job
+        if tab in GRASP_TABS:
+            if job is not None and job.kind == "pull":
+                self.controller.stop()
+            if self.controller.state.motion is not None:
+                self.controller.player.show(None)
 
     def _draw_heading(self, state: State) -> None:
         text = _heading(state, self.controller)

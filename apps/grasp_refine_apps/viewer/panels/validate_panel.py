@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import viser
 
+from grasp_refine.scene.protocols.protocol import AXES
 from grasp_refine.scene.protocols.registry import PROTOCOLS
+from grasp_refine.validation.replay.live_pull import MAX_PULL_N
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.jobs.replaying import FRAME_RATE_HZ
 from grasp_refine_apps.viewer.jobs.validating import MAX_FRICTION
@@ -78,6 +80,17 @@ class ValidatePanel:
             hint="Approach, grasp and lift: report obstacles, and play the motion as far as it is known",
         )
         in_a_row(gui, (self.test, self.plan))
+        self.pull = gui.add_button(
+            "Pull live",
+            icon=viser.Icon.HAND_GRAB,
+            hint="Simulate the grasp while you drag the object, or pull it with a steady force: does it hold?",
+        )
+        self.newtons: Any = gui.add_slider(
+            "Pull, N", 0.0, MAX_PULL_N, 0.1, 0.0, visible=False, hint="Steady force at the object's centre of mass"
+        )
+        self.along: Any = gui.add_dropdown(
+            "Along", tuple(AXES), visible=False, hint="Axis of the object, as it was before the hand closed"
+        )
         self.bar: Any = gui.add_progress_bar(0.0, visible=False)
         self.doing = gui.add_html("", visible=False)
         self.stop = gui.add_button("Stop", visible=False, hint="End the simulation")
@@ -96,6 +109,12 @@ class ValidatePanel:
         on_change(self.friction, lambda friction: self._set_protocol())
         on_click(self.test, controller.simulation.test)
         on_click(self.plan, controller.simulation.plan_trajectory)
+        on_click(self.pull, controller.simulation.pull)
+        for widget in (self.newtons, self.along):
+            on_change(
+                widget,
+                lambda value: controller.simulation.pull_steadily(float(self.newtons.value), str(self.along.value)),
+            )
         on_click(self.stop, controller.stop)
         on_choice(self.watch, controller.simulation.record)
         on_click(self.end, self._end)
@@ -138,9 +157,15 @@ class ValidatePanel:
 
     def _draw_job(self, job: Job | None) -> None:
         """Show the progress of a simulation."""
-        ours = job is not None and job.kind in ("validate", "plan", "replay")
-        self.test.disabled = self.plan.disabled = job is not None and job.kind != "measure"
-        self.bar.visible = self.doing.visible = self.stop.visible = ours
+        ours = job is not None and job.kind in ("validate", "plan", "replay", "pull")
+        self.test.disabled = self.plan.disabled = self.pull.disabled = job is not None and job.kind != "measure"
+        self.doing.visible = self.stop.visible = ours
+        pulling = job is not None and job.kind == "pull"
+        # The closing of the hand has a share, the pull has no end.
+        self.bar.visible = ours and not (pulling and job is not None and job.share is None)
+        if pulling != self.newtons.visible:
+            self.newtons.value = 0.0
+            self.newtons.visible = self.along.visible = pulling
         if ours and job is not None:
             self.bar.value = round(100.0 * (job.share or 0.0))
             self.doing.content = motion_html(f"{job.what} …", lost=False)
@@ -164,17 +189,20 @@ class ValidatePanel:
 
     def _draw_motion(self, motion: Recording | None, frame: int) -> None:
         """Show the text of a frame; a new motion is played at once, if a browser is connected."""
-        new = motion is not self._motion
+        live = motion is not None and motion.live
+        new = motion is not self._motion and not (live and self._motion is not None and self._motion.live)
         if new:
             self._motion = motion
             self.replay.pause()
             self.end.visible = motion is not None
             # The heading also describes the frames of a trajectory; obstacles stand above.
             self.line.visible = motion is not None and not motion.summary
-            self.replay.set_visible(motion is not None)
+            self.replay.set_visible(motion is not None and not live)
         if motion is None:
             return
         self.line.content = motion_html(motion.text(frame), lost=motion.is_lost(frame))
+        if live:
+            return
         self.replay.draw(np.round(motion.time - motion.time[0], 2), frame)
         if new and self._server.get_clients():
             self.replay.play()
