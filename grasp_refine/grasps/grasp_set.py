@@ -245,7 +245,6 @@ class GraspSet:
 
         Contact links are in `most` columns; of 0 there are none.
         """
-        order = [self.joint_names.index(name) for name in joint_names]
         none = np.full(len(self), np.nan)
         targets = None
         if links:
@@ -257,15 +256,11 @@ class GraspSet:
                 )
             targets = Targets(links, *points)
         nothing = ContactLinks(np.full((len(self), 0), ""), np.zeros((len(self), 0)))
-        stages: dict[str, Any] = {name: Stage(one.pose, one.q[:, order]) for name, one in self.other_stages.items()}
         return replace(
-            self,
-            joint_names=joint_names,
-            q=self.q[:, order],
+            self.in_order(joint_names),
             targets=targets,
             contact_links=(self.contact_links or nothing).padded(most) if most else None,
             labels={name: self.labels.get(name, none) for name in labels},
-            **stages,
         )
 
     def __add__(self, other: GraspSet) -> GraspSet:
@@ -381,6 +376,12 @@ class GraspSet:
             GraspFileError: not a list of row numbers, or one out of range.
         """
         return take(self, row_numbers(indices, len(self)))
+
+    def in_order(self, joint_names: tuple[str, ...]) -> GraspSet:
+        """Return the grasps with the columns of their joints in this order."""
+        order = [self.joint_names.index(name) for name in joint_names]
+        stages: dict[str, Any] = {name: Stage(one.pose, one.q[:, order]) for name, one in self.other_stages.items()}
+        return replace(self, joint_names=joint_names, q=self.q[:, order], **stages)
 
     def at(self, stage: Stage) -> GraspSet:
         """Return the grasps with the poses and joint values of one of their stages, for `match_joints`."""

@@ -12,7 +12,7 @@ docs/GRASP_DATASET_FORMAT.md and docs/GRIPPER_DESCRIPTION.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import pose_from_transform, transform_from_pose
 from grasp_refine.grasps.formats.folders import disambiguate, object_folder
-from grasp_refine.grasps.formats.format import SUCCESS, Load, Part, omission_notes, rows_by_object
+from grasp_refine.grasps.formats.format import SUCCESS, Format, Load, Part, omission_notes, rows_by_object
 from grasp_refine.grasps.formats.grippers import (
     FRANKA,
     FRANKA_JOINTS,
@@ -45,12 +45,11 @@ MAX_APART_M = 1e-9
 
 
 @dataclass(frozen=True)
-class Acronym:
+class Acronym(Format):
     """Files `.h5`, and `.json` with the same tree or with ACRONYM's flat keys."""
 
     name: str = "acronym"
     what: str = "ACRONYM, and GraspGen's dataset: one .h5 (or .json) file per object, a Panda gripper"
-    named_by_path: bool = False
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" if they are."""
@@ -96,14 +95,12 @@ class Acronym:
             notes.append(opened)
             taken = f"read as poses of link {layout.base_link}" if hand else "give it with `hand`"
             notes.append(f"poses are of the base of the gripper {named or 'that it does not name'}: {taken}")
-        grasps = GraspSet(
-            hand=hand.name if hand else layout.hand,
-            base_link=layout.base_link,
-            joint_names=joints,
-            object=np.full(count, source.object_name(held["object"]["file"], "object/file")),
-            scale=np.full(count, source.scale(held["object"]["scale"], "object/scale")),
-            hand_pose=pose_from_transform(T_object_gripper @ layout.T_root_base),
-            q=q,
+        grasps = replace(layout, joints=joints).grasps(
+            hand,
+            pose_from_transform(T_object_gripper @ layout.T_root_base),
+            q,
+            object=source.object_name(held["object"]["file"], "object/file"),
+            scale=source.scale(held["object"]["scale"], "object/scale"),
             labels=_success(source, held["grasps"], count),
         )
         return grasps, notes

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.grasps.formats.folders import floating_folder
-from grasp_refine.grasps.formats.format import Load, Part, omission_notes, rows_by_object
+from grasp_refine.grasps.formats.format import Format, Load, Part, omission_notes, rows_by_object
 from grasp_refine.grasps.formats.layout import BODEX
 from grasp_refine.grasps.formats.scene import object_in_scene
 from grasp_refine.grasps.formats.source import Source, missing_keys
@@ -27,7 +27,7 @@ from grasp_refine.hands.hand import Hand
 
 
 @dataclass(frozen=True)
-class Bodex:
+class Bodex(Format):
     """Files `*_grasp.npy` that BODex writes; `joint_names` are used where present.
 
     The object is `obj_pose`, `obj_scale` and `obj_path`, each a list of one, or in the file that `scene_path` names.
@@ -35,7 +35,6 @@ class Bodex:
 
     name: str = "bodex"
     what: str = "BODex: a folder of .npy files, each with all grasps of one object and scale, in three stages"
-    named_by_path: bool = False
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" if they are."""

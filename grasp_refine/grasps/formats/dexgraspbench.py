@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.grasps.formats.folders import object_folder, scale_folder
-from grasp_refine.grasps.formats.format import Load, Part, omission_notes, single_grasps
+from grasp_refine.grasps.formats.format import Format, Load, Part, omission_notes, single_grasps
 from grasp_refine.grasps.formats.hugs import is_hugs
 from grasp_refine.grasps.formats.layout import MUJOCO
 from grasp_refine.grasps.formats.source import Source, missing_keys
@@ -27,12 +27,11 @@ from grasp_refine.hands.hand import Hand
 
 
 @dataclass(frozen=True)
-class DexGraspBench:
+class DexGraspBench(Format):
     """Files for DexGraspBench, such as `object/scale006_pose000/0.npy`; `joint_names` are used where present."""
 
     name: str = "dexgraspbench"
     what: str = "DexGraspBench: a folder of .npy files, each one grasp with pregrasp and squeeze"
-    named_by_path: bool = False
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" if they are."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import pose_from_transform, transform, transform_from_pose
-from grasp_refine.grasps.formats.format import Load, Part, check_file_names, omission_notes
+from grasp_refine.grasps.formats.format import Format, Load, Part, check_file_names, omission_notes
 from grasp_refine.grasps.formats.layout import SHADOW_FINGERS, SHADOW_THUMB, Layout, check_hand
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.formats.stages import fit_layout
@@ -33,7 +33,7 @@ ANGLES = ("WRJRx", "WRJRy", "WRJRz")
 
 
 @dataclass(frozen=True)
-class DexGraspNet:
+class DexGraspNet(Format):
     """Files `object.npy`; other entries of a dict, such as `qpos_st` and `E_fc`, are the optimiser's and not read."""
 
     name: str = "dexgraspnet"
@@ -60,10 +60,9 @@ class DexGraspNet:
         """One file per object."""
         check_file_names(grasps, self.name)
         moved, _ = fit_layout(grasps, (SHADOW,), load, self.name)
-        columns = [moved.joint_names.index(joint) for joint in SHADOW.joints]
         T = transform_from_pose(np.asarray(moved.hand_pose, dtype=float))
         angles = angles_from_rotation(T[:, :3, :3])
-        values = np.concatenate([moved.q[:, columns] * JOINT_SIGNS, T[:, :3, 3], angles], axis=1).tolist()
+        values = np.concatenate([moved.q * JOINT_SIGNS, T[:, :3, 3], angles], axis=1).tolist()
         parts = []
         for name in dict.fromkeys(grasps.object.tolist()):
             rows = np.flatnonzero(grasps.object == name)
@@ -104,15 +103,8 @@ def named_grasps(
     joints, position, angles = np.split(
         source.numbers(rows, "qpos", (None, len(wanted))), [len(JOINTS), len(JOINTS) + 3], axis=1
     )
-    return GraspSet(
-        hand=hand.name if hand else SHADOW.hand,
-        base_link=SHADOW.base_link,
-        joint_names=SHADOW.joints,
-        object=np.full(len(rows), name),
-        scale=np.array(scale),
-        hand_pose=pose_from_transform(transform(rotation_from_angles(angles), position)),
-        q=joints * JOINT_SIGNS,
-    )
+    poses = pose_from_transform(transform(rotation_from_angles(angles), position))
+    return SHADOW.grasps(hand, poses, joints * JOINT_SIGNS, object=name, scale=np.array(scale))
 
 
 def rotation_from_angles(angles: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3 3"]:

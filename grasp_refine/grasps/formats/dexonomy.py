@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.grasps.formats.folders import floating_folder
-from grasp_refine.grasps.formats.format import Load, Part, omission_notes, single_grasps
+from grasp_refine.grasps.formats.format import Format, Load, Part, omission_notes, single_grasps
 from grasp_refine.grasps.formats.layout import MUJOCO
 from grasp_refine.grasps.formats.scene import object_in_scene
 from grasp_refine.grasps.formats.source import Source, missing_keys
@@ -30,12 +30,11 @@ FORMER_KEYS = {"hand_type": "hand_name", "hand_template_name": "tmpl_name", "evo
 
 
 @dataclass(frozen=True)
-class Dexonomy:
+class Dexonomy(Format):
     """Files of Dexonomy: stages are rows (1, 7 + n), or (7 + n,) with former keys; of several pregrasps the first."""
 
     name: str = "dexonomy"
     what: str = "Dexonomy: a folder of .npy files, each one grasp with its scene"
-    named_by_path: bool = False
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" if they are."""

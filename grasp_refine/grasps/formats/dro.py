@@ -21,7 +21,7 @@ from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform
 from grasp_refine.grasps.formats.dexgraspnet import angles_from_rotation, rotation_from_angles
-from grasp_refine.grasps.formats.format import SUCCESS, Load, Part
+from grasp_refine.grasps.formats.format import SUCCESS, Format, Load, Part
 from grasp_refine.grasps.formats.leap_cache import NUM_COLUMNS as NUM_LEAP_COLUMNS
 from grasp_refine.grasps.formats.leap_cache import LeapCache
 from grasp_refine.grasps.formats.multidex import (
@@ -51,12 +51,11 @@ COLUMNS = {NUM_POSE_COLUMNS + len(layout.joints) for layout in ROBOTS.values()}
 
 
 @dataclass(frozen=True)
-class DRO:
+class DRO(Format):
     """`cmap_dataset.pt` with `metadata`; `ROBOT/OBJECT_COUNT.pt`, one array; and lists of dicts with `predict_q`."""
 
     name: str = "dro"
     what: str = "D(R,O)-Grasp: one .pt file, rows of position, angles and joints"
-    named_by_path: bool = False
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" if they are."""

@@ -10,8 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.grasps.formats.format import Format
 from grasp_refine.grasps.formats.layout import ALLEGRO, LEAP, Layout, layout_of
@@ -62,14 +60,6 @@ class EquiDexFlow(Format):
             for key, label in QUALITIES.items()
             if all(key in grasp for grasp in grasps)
         }
-        found = GraspSet(
-            hand=layout.hand,
-            base_link=layout.base_link,
-            joint_names=layout.joints,
-            object=np.full(len(q), source.object_name(source.content["object_name"], "object_name")),
-            scale=np.ones(len(q)),
-            hand_pose=pose_from_transform(T @ layout.T_root_base),
-            q=q,
-            labels=labels,
-        )
+        name = source.object_name(source.content["object_name"], "object_name")
+        found = layout.grasps(hand, pose_from_transform(T @ layout.T_root_base), q, object=name, labels=labels)
         return found, ["contacts and their normals are not read"]

@@ -21,6 +21,9 @@ from grasp_refine.hands.hand import Hand
 SUCCESS, CONFIDENCE, ENERGY, FALL_TIME = "success", "confidence", "energy", "fall_time"
 """Labels that formats have a place for: result of a trial, 1 or 0; a score from 0 to 1; lower is better; seconds."""
 
+SINGLE_PRECISION = "numbers are written in single precision, as its own are"
+"""Note of formats of such numbers."""
+
 Load = Callable[[str], Hand]
 """Loader of the hand below one of its links."""
 
@@ -106,11 +109,15 @@ def check_format(value: Format) -> None:
 
 
 def omission_notes(
-    grasps: GraspSet, joints: Collection[str], *, stages: bool = True, labels: Collection[str] = ()
+    grasps: GraspSet, joints: Collection[str], *, stages: bool = True, labels: Collection[str] = (), size: str = ""
 ) -> list[str]:
-    """Notes on what a format omits: it has a place for these joints and labels, maybe for stages, none for targets."""
+    """Notes on what a format omits: it has a place for these joints and labels, maybe for stages, none for targets.
+
+    `size` is the reason of a format without a place for scales.
+    """
     others = [] if stages else [*grasps.other_stages]
-    notes = [f"{' and '.join(others)} have no place in this format and are left out"] if others else []
+    notes = [f"scale has no place in this format: its {size}"] if size and (grasps.scale != 1.0).any() else []
+    notes += [f"{' and '.join(others)} have no place in this format and are left out"] if others else []
     if grasps.targets is not None:
         notes.append("targets have no place in this format and are left out")
     without_place = [name for name in grasps.labels if name not in labels]

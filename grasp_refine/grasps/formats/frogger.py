@@ -73,16 +73,9 @@ class Frogger(Format):
         T_object_world = inverse(source.transforms(T_world_object[None], "X_WO")[0])
         tried = source.content.get("pick_success")
         labels = {} if tried is None else {SUCCESS: _success(source, tried, len(q))}
-        grasps = GraspSet(
-            hand=hand.name if hand else LAYOUT.hand,
-            base_link=LAYOUT.base_link,
-            joint_names=LAYOUT.joints,
-            object=np.full(len(q), source.object_name(obj["name"], "name of the object")),
-            scale=np.ones(len(q)),
-            hand_pose=pose_from_transform(T_object_world @ hand_transforms(q[:, : len(ARM)])),
-            q=q[:, len(ARM) :],
-            labels=labels,
-        )
+        poses = pose_from_transform(T_object_world @ hand_transforms(q[:, : len(ARM)]))
+        name = source.object_name(obj["name"], "name of the object")
+        grasps = LAYOUT.grasps(hand, poses, q[:, len(ARM) :], object=name, labels=labels)
         return grasps, ["the joints of the arm give the poses of the hand, and are left out"]
 
 

@@ -72,15 +72,7 @@ class GraspM3(Format):
         # Rotated axes x, y, z are the fixed axes z, y, x: the transpose of the rotation by the opposite angles.
         R = rotation_from_angles(-grasp[:, 3:6]).swapaxes(1, 2)
         T = inverse(T_world_object) @ transform(R, grasp[:, :3])
-        grasps = GraspSet(
-            hand=layout.hand,
-            base_link=layout.base_link,
-            joint_names=layout.joints,
-            object=np.full(count, name),
-            scale=scale,
-            hand_pose=pose_from_transform(T),
-            q=grasp[:, 6:],
-        )
+        grasps = layout.grasps(hand, pose_from_transform(T), grasp[:, 6:], object=name, scale=scale)
         middle, last = int(np.median(frames)), seqs.shape[1] - 1
         return grasps, [
             f"of each trajectory the last frame before the lift is taken, {middle} of {last} at the median; its joint "

@@ -22,7 +22,15 @@ import numpy as np
 
 from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import pose_from_transform, transform_from_pose
-from grasp_refine.grasps.formats.format import ENERGY, Load, Part, check_file_names, omission_notes
+from grasp_refine.grasps.formats.format import (
+    ENERGY,
+    SINGLE_PRECISION,
+    Format,
+    Load,
+    Part,
+    check_file_names,
+    omission_notes,
+)
 from grasp_refine.grasps.formats.grippers import FRANKA, FRANKA_JOINTS, FRANKA_LINK, without_follower
 from grasp_refine.grasps.formats.layout import ALLEGRO, SHADOW_FINGERS, SHADOW_THUMB, Layout
 from grasp_refine.grasps.formats.source import Source, missing_keys
@@ -102,7 +110,7 @@ MODELS = {
 
 
 @dataclass(frozen=True)
-class GraspQP:
+class GraspQP(Format):
     """Files `OBJECT.dexgrasp.pt`."""
 
     name: str = "graspqp"
@@ -140,22 +148,11 @@ class GraspQP:
             hand_name, base_link = folder, found.root if found else "root"
             if hand is None:
                 notes.append("the file does not name its hand: give it with `hand`, which begins at its root link")
-        if hand is not None:
-            if base_link not in hand.links_by_name:
-                notes.append(f"poses are of the root link of its URDF, and read as poses of {hand.base_link}")
-                base_link = hand.base_link
-            hand_name = hand.name
-        grasps = GraspSet(
-            hand=hand_name,
-            base_link=base_link,
-            joint_names=names,
-            object=np.full(len(poses), thing),
-            scale=np.ones(len(poses)),
-            hand_pose=poses,
-            q=q,
-            labels=_energy(source, len(poses)),
-        )
-        return grasps, notes
+        if hand is not None and base_link not in hand.links_by_name:
+            notes.append(f"poses are of the root link of its URDF, and read as poses of {hand.base_link}")
+            base_link = hand.base_link
+        layout = Layout(hand_name, base_link, names)
+        return layout.grasps(hand, poses, q, object=thing, labels=_energy(source, len(poses))), notes
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
         """One file per object."""
@@ -163,7 +160,7 @@ class GraspQP:
         grasps = without_follower(grasps)
         moved, layout = fit_layout(grasps, tuple(model.layout for model in MODELS.values()), load, self.name)
         hand, model = next((name, model) for name, model in MODELS.items() if model.layout == layout)
-        q = moved.q[:, [moved.joint_names.index(joint) for joint in layout.joints]] * model.signs
+        q = moved.q * model.signs
         poses = root_poses(moved, layout)
         energy = grasps.labels.get(ENERGY, np.zeros(len(grasps)))
         parts = []
@@ -181,10 +178,9 @@ class GraspQP:
             place = f"{thing}/{PREDICTIONS}/{hand}/12_contacts/graspqp/default"
             parts.append(Part(f"{place}/{thing}{ENDING}.pt", rows, content))
         zeros_of = "velocities" if ENERGY in grasps.labels else "energies and velocities"
-        lost = [f"{zeros_of} are written as 0", "numbers are written in single precision, as its own are"]
-        if (grasps.scale != 1.0).any():
-            lost.append("scale has no place in this format: its meshes are in metres")
-        return parts, [*lost, *omission_notes(grasps, layout.joints, stages=False, labels=(ENERGY,))]
+        size = "meshes are in metres"
+        lost = omission_notes(grasps, layout.joints, stages=False, labels=(ENERGY,), size=size)
+        return parts, [f"{zeros_of} are written as 0", SINGLE_PRECISION, *lost]
 
 
 def _path_names(source: Source) -> tuple[str, str]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.grasps.formats.folders import floating_folder
-from grasp_refine.grasps.formats.format import Load, Part, omission_notes, single_grasps
+from grasp_refine.grasps.formats.format import Format, Load, Part, omission_notes, single_grasps
 from grasp_refine.grasps.formats.layout import BODEX, Layout
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.formats.stages import (
@@ -48,12 +48,11 @@ def is_hugs(content: Any) -> bool:
 
 
 @dataclass(frozen=True)
-class Hugs:
+class Hugs(Format):
     """Files `*_grasp.npy` after `task=format`, and after evaluation."""
 
     name: str = "hugs"
     what: str = "HUGS: a folder of .npy files, each one grasp with pregrasp and squeeze, of one hand"
-    named_by_path: bool = False
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" if they are."""

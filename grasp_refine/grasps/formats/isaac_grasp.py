@@ -23,7 +23,7 @@ import numpy as np
 from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import pose_from_transform, transform_from_pose
 from grasp_refine.grasps.formats.folders import disambiguate, object_folder, scale_folder
-from grasp_refine.grasps.formats.format import CONFIDENCE, SUCCESS, Load, Part, omission_notes, rows_by_object
+from grasp_refine.grasps.formats.format import CONFIDENCE, SUCCESS, Format, Load, Part, omission_notes, rows_by_object
 from grasp_refine.grasps.formats.grippers import hand_named, open_joints
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
@@ -37,12 +37,11 @@ UNNAMED = "gripper"
 
 
 @dataclass(frozen=True)
-class IsaacGrasp:
+class IsaacGrasp(Format):
     """Files `.yaml` with `format: isaac_grasp` and `format_version: 1.0`."""
 
     name: str = NAME
     what: str = "Isaac Sim, GraspGen, GraspDataGen: one .yaml file per object, joints by name"
-    named_by_path: bool = False
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" if they are."""

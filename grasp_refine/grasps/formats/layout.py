@@ -5,14 +5,16 @@ The names are of our hands, and equal the manufacturers' URDFs.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
 from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.formats.source import Source
+from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
 
 IDENTITY_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -38,6 +40,31 @@ class Layout:
         pose = np.array(self.base_pose)
         pose[3:] /= np.linalg.norm(pose[3:])
         return transform_from_pose(pose)
+
+    def grasps(
+        self,
+        hand: Hand | None,
+        pose: Float[np.ndarray, "N 7"],
+        q: Float[np.ndarray, "N n"],
+        *,
+        object: str | np.ndarray,
+        scale: float | np.ndarray = 1.0,
+        labels: Mapping[str, np.ndarray] = MappingProxyType({}),
+    ) -> GraspSet:
+        """Grasps from poses of the base link, and joint values in this order; those of `hand`, where there is one.
+
+        Object and scale may be one for all.
+        """
+        return GraspSet(
+            hand=hand.name if hand else self.hand,
+            base_link=self.base_link,
+            joint_names=self.joints,
+            object=np.full(len(q), object),
+            scale=np.full(len(q), scale),
+            hand_pose=pose,
+            q=q,
+            labels=labels,
+        )
 
     def __str__(self) -> str:
         """Name of the hand and its joints."""

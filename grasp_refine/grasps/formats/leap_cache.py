@@ -15,7 +15,7 @@ import numpy as np
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose
-from grasp_refine.grasps.formats.format import Load, Part, omission_notes
+from grasp_refine.grasps.formats.format import Format, Load, Part, omission_notes
 from grasp_refine.grasps.formats.layout import Layout, check_hand
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.formats.stages import fit_layout
@@ -34,12 +34,11 @@ NUM_COLUMNS = len(JOINTS) + 7
 
 
 @dataclass(frozen=True)
-class LeapCache:
+class LeapCache(Format):
     """Files `*_grasp_*_s10.npy` for the cube in the LEAP hand."""
 
     name: str = "leap_cache"
     what: str = "LEAP_Hand_Sim: one .npy file of (N, 23) numbers, the LEAP hand with a cube"
-    named_by_path: bool = False
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" if they are."""
@@ -57,15 +56,9 @@ class LeapCache:
         pose = values[:, [16, 17, 18, 22, 19, 20, 21]]
         T_world_object = transform_from_pose(source.poses(pose, "the pose of the cube in columns 16 to 22"))
         scale = SCALE_SUFFIX.search(source.path.stem)
-        grasps = GraspSet(
-            hand=hand.name if hand else LEAP.hand,
-            base_link=LEAP.base_link,
-            joint_names=JOINTS,
-            object=np.full(len(values), CUBE),
-            scale=np.full(len(values), float(f"{scale[1]}.{scale[2]}") if scale else 1.0),
-            hand_pose=pose_from_transform(inverse(T_world_object) @ transform_from_pose(PALM_POSE)),
-            q=values[:, : len(JOINTS)],
-        )
+        factor = float(f"{scale[1]}.{scale[2]}") if scale else 1.0
+        poses = pose_from_transform(inverse(T_world_object) @ transform_from_pose(PALM_POSE))
+        grasps = LEAP.grasps(hand, poses, values[:, : len(JOINTS)], object=CUBE, scale=factor)
         notes = [] if scale else [f"the file's name does not end with a scale such as _s10: the cube is {CUBE}"]
         if (grasps.scale <= 0).any():
             raise source.error(f"its name ends with the scale {scale[0] if scale else ''}, which must be positive")
@@ -78,10 +71,9 @@ class LeapCache:
             listing = ", ".join(f"{name} (scale {scale:g})" for name, scale in objects)
             raise GraspFileError(f"format {self.name} holds grasps of one object and scale; there are {listing}")
         moved, _ = fit_layout(grasps, (LEAP,), load, self.name)
-        columns = [moved.joint_names.index(joint) for joint in JOINTS]
         T_object_palm = transform_from_pose(np.asarray(moved.hand_pose, dtype=float))
         pose = pose_from_transform(transform_from_pose(PALM_POSE) @ inverse(T_object_palm))
-        rows = np.concatenate([moved.q[:, columns], pose[:, [0, 1, 2, 4, 5, 6, 3]]], axis=1).astype(np.float32)
+        rows = np.concatenate([moved.q, pose[:, [0, 1, 2, 4, 5, 6, 3]]], axis=1).astype(np.float32)
         name, scale = objects[0]
         lost = []
         if (name, scale) != (CUBE, 1.0):

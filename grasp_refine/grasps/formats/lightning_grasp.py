@@ -20,7 +20,7 @@ import numpy as np
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose
 from grasp_refine.grasps.formats.dro import LEAP_PALM
 from grasp_refine.grasps.formats.folders import disambiguate, object_folder
-from grasp_refine.grasps.formats.format import Load, Part, omission_notes, rows_by_object
+from grasp_refine.grasps.formats.format import SINGLE_PRECISION, Format, Load, Part, omission_notes, rows_by_object
 from grasp_refine.grasps.formats.layout import ALLEGRO, Layout, layout_of
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.formats.stages import fit_layout, root_poses
@@ -44,12 +44,11 @@ MESH_NAMES = ("textured", "model", "mesh", "simplified", "decomposed")
 
 
 @dataclass(frozen=True)
-class LightningGrasp:
+class LightningGrasp(Format):
     """Dicts of `q` and `object_pose`."""
 
     name: str = "lightning_grasp"
     what: str = "Lightning Grasp: one file per object, a dict of q and object_pose"
-    named_by_path: bool = False
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" if they are."""
@@ -63,37 +62,27 @@ class LightningGrasp:
         said = held.get("robot_name", held.get("robot"))
         named = "" if said is None else source.text(_first(said), "robot_name")
         layout = layout_of(source, LAYOUTS, q.shape[1], hand, hand_name=named)
-        grasps = GraspSet(
-            hand=layout.hand,
-            base_link=layout.base_link,
-            joint_names=layout.joints,
-            object=np.full(len(q), _object(source)),
-            scale=np.ones(len(q)),
-            hand_pose=pose_from_transform(inverse(T_hand_object) @ layout.T_root_base),
-            q=q,
-        )
+        poses = pose_from_transform(inverse(T_hand_object) @ layout.T_root_base)
+        grasps = layout.grasps(hand, poses, q, object=_object(source))
         return grasps, [f"joints are in the order of Lightning Grasp for {layout.hand}, which the file does not name"]
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
         """One .pt file per object, with the names of hand and object."""
         moved, layout = fit_layout(grasps, LAYOUTS, load, self.name)
-        q = moved.q[:, [moved.joint_names.index(joint) for joint in layout.joints]]
         T_hand_object = inverse(transform_from_pose(root_poses(moved, layout)))
         groups = rows_by_object(grasps)
         files = disambiguate(object_folder(name) for name, _ in groups)
         parts = []
         for file, ((name, _), rows) in zip(files, groups.items(), strict=True):
             content = {
-                "q": q[rows].astype(np.float32),
+                "q": moved.q[rows].astype(np.float32),
                 "object_pose": T_hand_object[rows].astype(np.float32),
                 "robot_name": layout.hand,
                 "mesh_path": f"assets/object/{name}/textured.obj",
             }
             parts.append(Part(f"{file}.pt", rows, content))
-        lost = ["numbers are written in single precision, as its own are"]
-        if (grasps.scale != 1.0).any():
-            lost.append("scale has no place in this format: its meshes are in metres")
-        return parts, [*lost, *omission_notes(grasps, layout.joints, stages=False)]
+        lost = omission_notes(grasps, layout.joints, stages=False, size="meshes are in metres")
+        return parts, [SINGLE_PRECISION, *lost]
 
 
 def _first(value: Any) -> Any:

@@ -20,7 +20,7 @@ import numpy as np
 
 from grasp_refine.core.array_types import Float
 from grasp_refine.core.se3 import pose_from_transform, transform, transform_from_pose
-from grasp_refine.grasps.formats.format import Load, Part, omission_notes
+from grasp_refine.grasps.formats.format import SINGLE_PRECISION, Format, Load, Part, omission_notes
 from grasp_refine.grasps.formats.layout import ALLEGRO, LEAP, SHADOW_FINGERS, SHADOW_THUMB, Layout, check_hand, is_of
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.formats.stages import fit_layout, root_poses
@@ -44,12 +44,11 @@ Entries = Sequence[tuple[np.ndarray, str, str]]
 
 
 @dataclass(frozen=True)
-class MultiDex:
+class MultiDex(Format):
     """Files such as `MultiDex/shadowhand/shadowhand.pt`: `metadata`, a list of (row, object, robot)."""
 
     name: str = "multidex"
     what: str = "MultiDex of GenDexGrasp: one .pt file, rows of pose and joints"
-    named_by_path: bool = False
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" if they are."""
@@ -156,20 +155,12 @@ def grasps_of_entries(
         )
     rows = source.numbers(np.array([row for row, _ in of_hand]), f"rows of {robot}", (None, count))
     things = np.array([thing for _, thing in of_hand])
-    T_object_root = transforms(rows[:, :pose_columns])
-    grasps = GraspSet(
-        hand=hand.name if hand else layout.hand,
-        base_link=layout.base_link,
-        joint_names=layout.joints,
-        object=things,
-        scale=np.ones(len(rows)),
-        hand_pose=pose_from_transform(T_object_root @ layout.T_root_base),
-        q=rows[:, pose_columns:],
-        labels={
-            name: source.numbers(list(compress(values, (of == robot for _, _, of in entries))), name)
-            for name, values in (labels or {}).items()
-        },
-    )
+    poses = pose_from_transform(transforms(rows[:, :pose_columns]) @ layout.T_root_base)
+    of_hand_only = {
+        name: source.numbers(list(compress(values, (of == robot for _, _, of in entries))), name)
+        for name, values in (labels or {}).items()
+    }
+    grasps = layout.grasps(hand, poses, rows[:, pose_columns:], object=things, labels=of_hand_only)
     notes = [f"joints are in the order of the URDF of {robot}, which the file does not name"]
     if len(counts) > 1:
         notes.append(f"of several hands, grasps of {robot} are read: {listing}")
@@ -190,9 +181,8 @@ def parts_of_entries(
     """
     moved, layout = fit_layout(grasps, tuple(robots.values()), load, name)
     (robot,) = [robot for robot, known in robots.items() if known == layout]
-    joints = moved.q[:, [moved.joint_names.index(joint) for joint in layout.joints]]
     T_object_root = transform_from_pose(root_poses(moved, layout))
-    rows = np.concatenate([columns(T_object_root), joints], axis=1).astype(np.float32)
+    rows = np.concatenate([columns(T_object_root), moved.q], axis=1).astype(np.float32)
     things = grasps.object.tolist()
     per_object = Counter(things)
     info = {
@@ -202,12 +192,9 @@ def parts_of_entries(
         "num_per_object": dict(per_object),
     }
     metadata = [(row, thing, robot) for row, thing in zip(rows, things, strict=True)]
-    lost = ["numbers are written in single precision, as its own are"]
-    if (grasps.scale != 1.0).any():
-        lost.append("scale has no place in this format: its meshes are in metres")
     content = {"info": {robot: info}, "metadata": metadata}
-    lost += omission_notes(grasps, layout.joints, stages=False)
-    return [Part("grasps.pt", np.arange(len(things)), content)], lost
+    lost = omission_notes(grasps, layout.joints, stages=False, size="meshes are in metres")
+    return [Part("grasps.pt", np.arange(len(things)), content)], [SINGLE_PRECISION, *lost]
 
 
 def left(layout: Layout) -> Layout:

@@ -18,7 +18,7 @@ import numpy as np
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.grasps.formats.folders import disambiguate, object_folder
-from grasp_refine.grasps.formats.format import FALL_TIME, SUCCESS, Load, Part, omission_notes
+from grasp_refine.grasps.formats.format import FALL_TIME, SUCCESS, Format, Load, Part, omission_notes
 from grasp_refine.grasps.formats.grippers import FRANKA, FRANKA_JOINTS, FRANKA_LINK
 from grasp_refine.grasps.formats.layout import Layout
 from grasp_refine.grasps.formats.source import Source, missing_keys
@@ -74,12 +74,11 @@ GRIPPERS = {
 
 
 @dataclass(frozen=True)
-class MultiGripperGrasp:
+class MultiGripperGrasp(Format):
     """Files such as `Allegro-Mug.json`, before and after its simulation."""
 
     name: str = "multigripper"
     what: str = "MultiGripperGrasp: one .json file for each gripper and object"
-    named_by_path: bool = False
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" if they are."""
@@ -117,20 +116,12 @@ class MultiGripperGrasp:
                     f"{', '.join(layout.joints)}; hand '{hand.name}' has {', '.join(hand.joint_names)}"
                 )
         thing = held.get("object_id", held.get("object_ID"))
-        grasps = GraspSet(
-            hand=hand.name if hand else layout.hand,
-            base_link=layout.base_link,
-            joint_names=layout.joints,
-            object=np.full(len(poses), source.object_name(thing, "object_id")),
-            scale=np.ones(len(poses)),
-            hand_pose=poses,
-            q=q,
-            labels={
-                name: source.numbers(held[key], key, (len(poses),))
-                for key, name in LABELS.items()
-                if held.get(key) is not None
-            },
-        )
+        labels = {
+            name: source.numbers(held[key], key, (len(poses),))
+            for key, name in LABELS.items()
+            if held.get(key) is not None
+        }
+        grasps = layout.grasps(hand, poses, q, object=source.object_name(thing, "object_id"), labels=labels)
         if held.get("final_dofs") is not None:
             notes.append("final_dofs, the joints once the gripper had closed, have no place in a grasp set")
         return grasps, notes
@@ -141,7 +132,6 @@ class MultiGripperGrasp:
         gripper = next(name for name, known in GRIPPERS.items() if known == layout)
         if layout.hand not in ("allegro", FRANKA) and grasps.hand != layout.hand:
             raise GraspFileError(f"format {self.name} means its own {gripper}; these grasps are of '{grasps.hand}'")
-        q = moved.q[:, [moved.joint_names.index(joint) for joint in layout.joints]]
         things = list(dict.fromkeys(grasps.object.tolist()))
         parts = []
         for file, name in zip(disambiguate(map(object_folder, things)), things, strict=True):
@@ -150,14 +140,12 @@ class MultiGripperGrasp:
                 "gripper": gripper,
                 "object_id": name,
                 "pose": moved.hand_pose[rows].tolist(),
-                "dofs": q[rows].tolist(),
+                "dofs": moved.q[rows].tolist(),
                 **{key: grasps.labels[name][rows].tolist() for key, name in LABELS.items() if name in grasps.labels},
             }
             parts.append(Part(f"{gripper}-{file}.json", rows, content))
-        lost = []
-        if (grasps.scale != 1.0).any():
-            lost.append("scale has no place in this format: its objects have their own size")
-        return parts, [*lost, *omission_notes(grasps, layout.joints, stages=False, labels=LABELS.values())]
+        size = "objects have their own size"
+        return parts, omission_notes(grasps, layout.joints, stages=False, labels=LABELS.values(), size=size)
 
 
 def _with_follower(grasps: GraspSet) -> GraspSet:

@@ -8,19 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from grasp_refine.grasps.formats.format import Load, Part
+from grasp_refine.grasps.formats.format import Format, Load, Part
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps
 from grasp_refine.hands.hand import Hand
 
 
 @dataclass(frozen=True)
-class Ours:
+class Ours(Format):
     """Files .npz with joint names, which hold everything."""
 
     name: str = "ours"
     what: str = "grasp-refine: one .npz file with joint names, objects, stages and targets"
-    named_by_path: bool = False
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" for None, which stands for an .npz file."""

@@ -7,6 +7,7 @@ the world is where the object has a pose of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -70,16 +71,7 @@ def grasps_of_stages(
         (name,) = [name for name in STAGES if what.startswith(name)]
         stages[name] = Stage(pose, numbers[:, 7:])
     grasp = stages.pop(GRASP)
-    return GraspSet(
-        hand=layout.hand,
-        base_link=layout.base_link,
-        joint_names=layout.joints,
-        object=np.full(len(grasp.q), object_name),
-        scale=np.full(len(grasp.q), scale),
-        hand_pose=grasp.pose,
-        q=grasp.q,
-        **stages,
-    )
+    return replace(layout.grasps(hand, grasp.pose, grasp.q, object=object_name, scale=scale), **stages)
 
 
 def rows_of_stage(grasps: GraspSet, name: str, layout: Layout) -> Float[np.ndarray, "N columns"]:
@@ -88,8 +80,7 @@ def rows_of_stage(grasps: GraspSet, name: str, layout: Layout) -> Float[np.ndarr
     The grasp itself is used for a stage that they lack.
     """
     stage = grasps.at(grasps.other_stages[name]) if name in grasps.other_stages else grasps
-    columns = [grasps.joint_names.index(joint) for joint in layout.joints]
-    return np.concatenate([root_poses(stage, layout), stage.q[:, columns]], axis=1)
+    return np.concatenate([root_poses(stage, layout), stage.q], axis=1)
 
 
 def root_poses(grasps: GraspSet, layout: Layout) -> Float[np.ndarray, "N 7"]:
@@ -106,7 +97,7 @@ def missing_stage_notes(grasps: GraspSet) -> list[str]:
 def fit_layout(
     grasps: GraspSet, layouts: Sequence[Layout], load: Callable[[str], Hand], format_name: str
 ) -> tuple[GraspSet, Layout]:
-    """Return the grasps from the base link of the layout that has their joints, and that layout.
+    """Return the grasps from the base link of the layout that has their joints, in its order, and that layout.
 
     The pose then includes joints before that link, such as a wrist.
 
@@ -117,7 +108,7 @@ def fit_layout(
         if set(layout.joints) <= set(grasps.joint_names):
             moved = rebased(grasps, layout.base_link, load)
             if set(layout.joints) == set(moved.joint_names):
-                return moved, layout
+                return moved.in_order(layout.joints), layout
     known = "; ".join(map(str, layouts))
     raise GraspFileError(
         f"format {format_name} cannot hold grasps of hand '{grasps.hand}' with the joints "

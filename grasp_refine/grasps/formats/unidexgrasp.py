@@ -15,7 +15,7 @@ from typing import Any
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.grasps.formats.dexgraspnet import ANGLES, POSITION, named_grasps
-from grasp_refine.grasps.formats.format import Load, Part
+from grasp_refine.grasps.formats.format import Format, Load, Part
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
@@ -25,7 +25,7 @@ SCALE_DIGITS = 6
 
 
 @dataclass(frozen=True)
-class UniDexGrasp:
+class UniDexGrasp(Format):
     """Files OBJECT/NUMBER.npz."""
 
     name: str = "unidexgrasp"
