@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, Phase, settings
 
 from grasp_refine.collision.engine import VARIABLE, why_not_native
 
@@ -14,6 +15,25 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 SLOW_LIMIT_S = 1800
 """Seconds after which a test marked `slow` fails; those of others are in pyproject.toml."""
+
+# Properties are tried on few examples, always the same; `pytest tests/properties --hypothesis-profile=long` tries many,
+# new ones in each run. What explains a failure takes as long as finding it.
+settings.register_profile(
+    "quick",
+    max_examples=30,
+    derandomize=True,
+    deadline=None,
+    database=None,
+    phases=(Phase.explicit, Phase.generate, Phase.shrink),
+    suppress_health_check=(HealthCheck.too_slow,),
+)
+settings.register_profile("long", settings.get_profile("quick"), max_examples=1000, derandomize=False, print_blob=True)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Load the quick profile of hypothesis, if no other is asked for."""
+    if not config.getoption("--hypothesis-profile"):
+        settings.load_profile("quick")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

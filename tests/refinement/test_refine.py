@@ -328,7 +328,7 @@ def same(one: Refinement, other: Refinement, index: list[int], own: list[int]) -
 def test_the_width_of_the_batch_changes_nothing(aimed: Scene) -> None:
     """Slots are refilled while others are under way."""
     twice = aimed.select(np.array([0, 1, 2, 3, 3, 2]))
-    config = Config(solver=LevenbergMarquardt(iterations=60))
+    config = replace(GEOMETRY, solver=LevenbergMarquardt(iterations=60))
     same(refine(twice, replace(config, width=3)), refine(twice, config), list(range(6)), list(range(6)))
 
 
@@ -344,7 +344,7 @@ def test_new_starts_depend_on_the_grasp_alone(
         return plain(problem, member, *others)
 
     monkeypatch.setattr(GraspProblem, "restart", recorded)
-    eight, config = disturbed(scene, touched, 8, 2), Config(solver=LevenbergMarquardt(patience=3))
+    eight, config = disturbed(scene, touched, 8, 2), replace(GEOMETRY, solver=LevenbergMarquardt(patience=3))
     together = refine(eight, config)
     assert len(set(again)) >= 2 and (together.iterations[again] > 15).all()
     order = [5, 2, 7, 0, 3, 6, 1, 4]
