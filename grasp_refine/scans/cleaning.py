@@ -48,6 +48,7 @@ def scan_of_points(
     name: str,
     *,
     noise_m: float | None = None,
+    masked: bool = False,
 ) -> tuple[Scan, tuple[str, ...]]:
     """Return the scan of points, and notes for the user.
 
@@ -61,10 +62,11 @@ def scan_of_points(
         view: Index (P,) of the sensor that saw each point; None: the nearest one.
         name: Name of the object, for messages.
         noise_m: Standard deviation along the lines of sight, metres; None: measured, as the distance from local planes.
+        masked: Whether the points are known to be the object's: it may be seen as a plane, as a box from the front.
 
     Raises:
-        MeshError: there are too few points, they lie in a plane, they are several objects, or neither normals nor
-            sensors are known.
+        MeshError: there are too few points, they lie in a plane and are not masked, they are several objects, or
+            neither normals nor sensors are known.
     """
     notes = []
     finite = (np.abs(points) < MAX_DIAGONAL).all(axis=1)
@@ -91,7 +93,11 @@ def scan_of_points(
         points, normals, view = points[kept], _taken(normals, kept), view[kept]
     _check_count(len(points), name)
     noise = measured_noise(points) if noise_m is None else noise_m
-    _check_solid(points, noise, name)
+    flat = _flatness_text(points, noise)
+    if flat and not masked:
+        raise MeshError(f"{name}: {flat}; is it the table? Mask the object, or add a view of another side")
+    if flat:
+        notes.append(f"{flat}: how thick the object is, is a guess; add a view of another side")
     planes = local_planes(points)
     if normals is None:
         normals = planes
@@ -102,7 +108,7 @@ def scan_of_points(
     if len(origins):
         facing = ((origins[view] - points) * normals).sum(axis=1)
         normals = np.where((facing < 0)[:, None], -normals, normals)
-    if len(origins) and (share := _table_share(points, normals, noise)):
+    if len(origins) and not masked and (share := _table_share(points, normals, noise)):
         notes.append(f"{share:.0%} of its points are in a plane below the others; if it is the table, mask the object")
     return Scan(points, normals, np.asarray(origins, dtype=np.float64), view, noise), tuple(notes)
 
@@ -216,20 +222,13 @@ def _in_groups(points: Float[np.ndarray, "P 3"], name: str) -> Bool[np.ndarray, 
     return large[label]
 
 
-def _check_solid(points: Float[np.ndarray, "P 3"], noise: float, name: str) -> None:
-    """Refuse points in a plane.
-
-    Raises:
-        MeshError: they are.
-    """
+def _flatness_text(points: Float[np.ndarray, "P 3"], noise: float) -> str:
+    """Return a text on points in a plane; empty on others."""
     off = points - points.mean(axis=0)
     deviation = float(np.sqrt(max(np.linalg.eigvalsh(off.T @ off / len(points))[0], 0.0)))
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
-    if deviation < max(FLATNESS * diagonal, FLAT_NOISES * noise):
-        raise MeshError(
-            f"{name}: only a plane, {diagonal * 1e3:.3g} mm across, was seen; is it the table? An object needs a view "
-            "that shows more than one of its sides"
-        )
+    flat = deviation < max(FLATNESS * diagonal, FLAT_NOISES * noise)
+    return f"only a plane, {diagonal * 1e3:.3g} mm across, was seen" if flat else ""
 
 
 def _table_share(points: Float[np.ndarray, "P 3"], normals: Float[np.ndarray, "P 3"], noise: float) -> float:

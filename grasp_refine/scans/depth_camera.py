@@ -208,11 +208,11 @@ def scan_of_depth(
         name: Name of the object, for messages.
 
     Raises:
-        MeshError: there are too few points, they are flat, or they are several objects.
+        MeshError: there are too few points, they lie in a plane and there is no mask, or they are several objects.
     """
     points, view, noise = seen_in_depth(depths, masks, intrinsics, poses)
     origins = np.array([pose[:3, 3] for pose in poses]).reshape(-1, 3)
-    return scan_of_points(points, None, origins, view, name, noise_m=noise)[0]
+    return scan_of_points(points, None, origins, view, name, noise_m=noise, masked=masks is not None)[0]
 
 
 def seen_in_depth(

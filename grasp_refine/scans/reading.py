@@ -195,7 +195,7 @@ def _scan_of_pictures(
         raise MeshError(f"{name}: empty: no pixel{' of the mask' if masks is not None else ''} has a depth")
     check_point_count(len(points), name)
     _check_size(points, UNITS[unit or "m"], unit, name)
-    return scan_of_points(points, None, poses[:, :3, 3], view, name, noise_m=noise)
+    return scan_of_points(points, None, poses[:, :3, 3], view, name, noise_m=noise, masked=masks is not None)
 
 
 def _check_size(points: Float[np.ndarray, "P 3"], factor: float, unit: Unit | None, name: str) -> None:

@@ -10,7 +10,7 @@ from PIL import Image
 import grasp_refine as gr
 from grasp_refine.core.errors import GraspRefineError, MeshError
 from grasp_refine.geometry.mesh import MAX_OPEN_SHARE, open_share
-from grasp_refine.scans.depth_camera import D435, depth_of, scan_of_depth, views_around
+from grasp_refine.scans.depth_camera import D435, depth_of, scan_of_depth, views_around, with_noise
 from refusals import refused
 
 SIZE_M = (0.04, 0.06, 0.08)
@@ -66,6 +66,21 @@ def test_what_is_recorded_of_a_scan_reads_it_again(there: Path):
     again = gr.load_object(**obj.record)
     np.testing.assert_array_equal(again.mesh.vertices, obj.mesh.vertices)
     assert [each.weight for each in again.hypotheses] == [each.weight for each in obj.hypotheses]
+
+
+@pytest.mark.parametrize("seed", [None, 0])
+def test_a_box_seen_from_the_front_has_a_thickness(seed: int | None):
+    """Its mask says that the plane is no table."""
+    pose = np.eye(4)
+    pose[:3, 3] = 0, 0, -0.5
+    depth = depth_of(trimesh.creation.box(SIZE_M), pose)
+    mask = depth > 0
+    if seed is not None:
+        depth = with_noise(depth, seed)
+    obj = gr.load_object(scan_of_depth([depth], [mask], D435, [pose]), hypotheses=3)
+    low, high = obj.mesh.bounds
+    np.testing.assert_allclose((low[:2], high[:2]), np.array([[-0.5], [0.5]]) * SIZE_M[:2], atol=0.004)
+    assert low[2] == pytest.approx(-SIZE_M[2] / 2, abs=0.004) and 0.01 < high[2] - low[2] < 0.15
 
 
 def test_a_depth_picture_is_an_object_in_the_frame_of_its_pose(there: Path):

@@ -100,6 +100,8 @@ def test_a_plane_is_refused(angle, noise):
     turn = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
     with pytest.raises(MeshError, match="plane"):
         scan_of(flat @ turn.T)
+    scan, notes = scan_of(flat @ turn.T, masked=True)
+    assert len(scan.points) and any("plane" in note for note in notes)
 
 
 def test_a_table_below_the_object_is_noted_and_a_side_of_it_is_not():
@@ -108,6 +110,7 @@ def test_a_table_below_the_object_is_noted_and_a_side_of_it_is_not():
     table = table[np.linalg.norm(table[:, :2], axis=1) > RADIUS_M] + 0.0005 * random.standard_normal((1, 3))
     _, notes = scan_of(np.concatenate([table, dome(1500)]))
     assert any("table" in note for note in notes)
+    assert not scan_of(np.concatenate([table, dome(1500)]), masked=True)[1]
     # The top of a box, and what is seen of its sides.
     top = np.column_stack([random.uniform(-0.05, 0.05, (4000, 2)), np.zeros(4000)])
     side = np.column_stack([np.full(1000, 0.05), random.uniform(-0.05, 0.05, 1000), random.uniform(-0.04, 0, 1000)])
