@@ -34,7 +34,7 @@ def check_writable(*paths: Path | None, overwrite: bool, inside: Path | None = N
     named: set[str] = set()
     for path in filter(None, paths):
         _check_target(path)
-        if _is_device(path):
+        if path.absolute().parts[1:2] in (("dev",), ("proc",)):  # written to, never replaced, as /dev/stdout
             continue
         if not overwrite and path.is_file():
             raise GraspRefineError(f"{path}: exists already; give another name or folder, or `overwrite` to replace it")
@@ -44,11 +44,6 @@ def check_writable(*paths: Path | None, overwrite: bool, inside: Path | None = N
         if os.path.abspath(path) in named:
             raise GraspRefineError(f"{path}: is to be written twice, and one would replace the other")
         named.add(os.path.abspath(path))
-
-
-def _is_device(path: Path) -> bool:
-    """Return whether a file is written to and never replaced: /dev/stdout, even when redirected to a file."""
-    return path.absolute().parts[1:2] in (("dev",), ("proc",))
 
 
 def _check_target(path: Path) -> None:

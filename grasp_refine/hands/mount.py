@@ -72,6 +72,7 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
     fixed = Joint(name, "fixed", link, hand.base_link, T, np.zeros(3), 0.0, 0.0, None, None)
     links = (*renamed.links, *hand.links)
     solids = tuple(part.name for part in links if part.body is not None)
+    arm_notes = [f"arm {arm.name}: {note}" for note in arm.notes if not note.startswith("contact link")]
     whole = replace(
         hand,
         name=f"{hand.name}{ON_ARM}{arm.name}",
@@ -82,7 +83,7 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
         lower=np.concatenate([arm.lower, hand.lower]),
         upper=np.concatenate([arm.upper, hand.upper]),
         rest=np.concatenate([arm.rest, hand.rest]),
-        notes=tuple(dict.fromkeys((*_arm_notes(arm), *notes))),
+        notes=tuple(dict.fromkeys((*arm_notes, *notes))),
         actuator=both(arm.actuator, hand.actuator),
         coupled=(*renamed.coupled, *hand.coupled),
         excluded=_excluded(renamed, hand),
@@ -144,11 +145,6 @@ def _last_link(arm: Hand) -> str:
     if len(ends) > 1:
         raise HandError(f"arm {arm.name} ends at several links: give the one to mount on, of {', '.join(sorted(ends))}")
     return ends.pop()
-
-
-def _arm_notes(arm: Hand) -> list[str]:
-    """Return the notes on an arm, without notes on contacts, which an arm does not have."""
-    return [f"arm {arm.name}: {note}" for note in arm.notes if not note.startswith("contact link")]
 
 
 def _other_names(names: Iterable[str], taken: Container[str], prefix: str) -> dict[str, str]:

@@ -24,10 +24,8 @@ def clearances(config: Config, hand: Hand, chain: Chain) -> Float[np.ndarray, " 
     moves = chain.moves[:, ~hand.arm_joints].any(axis=1)
     clearance = config.clearance
     if clearance is None:
-        clearance = OTHER_MODEL_CLEARANCE_M if _has_other_geometry(hand) else 0.0
+        simulates_other = (
+            hand.collision == "mjcf" and hand.mjcf is not None and hand.mjcf.resolve() != hand.urdf.resolve()
+        )
+        clearance = OTHER_MODEL_CLEARANCE_M if simulates_other else 0.0
     return np.where(moves & ~np.isin(chain.links, list(tips)), clearance, 0.0)
-
-
-def _has_other_geometry(hand: Hand) -> bool:
-    """Return whether the simulation of the hand has other collision geometry than its refinement."""
-    return hand.collision == "mjcf" and hand.mjcf is not None and hand.mjcf.resolve() != hand.urdf.resolve()

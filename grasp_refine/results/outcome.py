@@ -27,7 +27,6 @@ from grasp_refine.results.weakness import weaknesses
 from grasp_refine.scene.contact_links import contact_gaps
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.scene.original import Original
 from grasp_refine.scene.scene import Scene
 
 WORDS = ("change", "fidelity", "fingers")
@@ -188,7 +187,8 @@ def compare(
     gaps = np.concatenate([contact_gaps(before, geometry.witness.rows(slice(count)), selection), gap_after])
     errors = contact_errors(geometry.distance, geometry.witness, geometry.T_world_link, gaps, *targets)
     geometry = replace(geometry, contact_error=errors)
-    grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry, scene.task, _twice(scene.original))
+    original = None if scene.original is None else join(scene.original, scene.original)
+    grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry, scene.task, original)
     # Links that are part of the input grasp, whatever should touch besides.
     plain, near = replace(before, target_link=None, target_object=None), KEEP.touching(selection or ContactSelection())
     own = ~np.isnan(contact_gaps(plain, geometry.witness.rows(slice(count)), near))
@@ -237,11 +237,6 @@ def compare(
         weakness=np.array(_weaknesses(grasps)[count:], dtype=np.str_),
         forces=motion.forces,
     )
-
-
-def _twice(original: Original | None) -> Original | None:
-    """Return the original of grasps before and after."""
-    return None if original is None else join(original, original)
 
 
 def _measured(

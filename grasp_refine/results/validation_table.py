@@ -120,7 +120,7 @@ def _object_table(validated: Validated, what: str, protocol: Protocol | None, ve
     if len(validated) > 1:
         table.add_section()
         medians = (measure_text(each, _median(validated.metrics.values[each.name])) for each in columns)
-        last = [] if protocol is None else ["", f" {_held(validated)}"]
+        last = [] if protocol is None else ["", f" {validated.success.sum()} held, {_percent(validated.success)}"]
         table.add_row("median", *medians, *last, style="bold")
     return table
 
@@ -160,7 +160,8 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
             word
             for word, flagged in (
                 ("barely", validated.barely(protocol)[i]),
-                (_by_squeeze(validated), validated.by_squeeze[i]),
+                # A guess, unless it was simulated.
+                ("by the squeeze" + ("?" if validated.unsqueezed is None else ""), validated.by_squeeze[i]),
                 (pushed, pushed),
             )
             if flagged
@@ -327,15 +328,6 @@ def _lost_text(trials: Trials, i: int) -> str:
     left = trials.contacts_squeeze[i] & ~trials.contacts[i, worst]
     names = [trials.links[link] for link in np.flatnonzero(left)]
     return f"{text} after {trials.time_s[i, worst]:.1f} s, {'without ' + ', '.join(names) if names else 'all links on'}"
-
-
-def _by_squeeze(validated: Validated) -> str:
-    """Return the flag of grasps that held by the squeeze, a guess unless it was simulated."""
-    return "by the squeeze" + ("?" if validated.unsqueezed is None else "")
-
-
-def _held(validated: Validated) -> str:
-    return f"{validated.success.sum()} held, {_percent(validated.success)}"
 
 
 def _numbers(validated: Validated, which: np.ndarray) -> str:

@@ -105,11 +105,13 @@ def closure_frame(hand: Hand) -> ClosureFrame:
     step = 1e-3 * closing
     moved = tips((hand.rest + step)[None])[0] - tips((hand.rest - step)[None])[0]
     opened = np.where(closing == 0, hand.rest, np.where(closing > 0, lower, upper))
+    # Fingertips move most along one direction across the approach.
+    basis = tangents(approach)
     return ClosureFrame(
         center=center,
         radius=radius,
         approach=approach,
-        across=_main_direction(moved, tangents(approach)),
+        across=basis @ np.linalg.svd(moved @ basis)[2][0],
         closing=closing,
         spreading=moves.any(axis=0) & (closing == 0),
         lower=lower,
@@ -184,11 +186,6 @@ def _away_from(points: np.ndarray, facing: np.ndarray, center: np.ndarray) -> np
     if np.linalg.norm(mean) <= MIN_MEAN_DIRECTION * solid_angle.sum():
         mean = center if center.any() else np.array([0.0, 0.0, 1.0])
     return mean / np.linalg.norm(mean)
-
-
-def _main_direction(moved: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """Unit vector (3,) in the plane of two vectors (3, 2) along which points move (K, 3) most."""
-    return basis @ np.linalg.svd(moved @ basis)[2][0]
 
 
 def _smallest_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:

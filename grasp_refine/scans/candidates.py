@@ -165,7 +165,8 @@ def _revolved(frame: ViewFrame) -> Iterator[Candidate]:
 
 def _extruded(frame: ViewFrame) -> Iterator[Candidate]:
     back = frame.points[:, 2].max()
-    for excess in frame.excess * _quantiles(KEPT):
+    # Even quantiles of the exponential distribution with mean 1.
+    for excess in frame.excess * -np.log1p(-(np.arange(KEPT) + 0.5) / KEPT):
         moved = np.column_stack([frame.outer[:, :2], np.full(len(frame.outer), back + excess)])
         log_weight = -EVIDENCE * float(frame.misfit(moved).mean())
         points = np.concatenate([frame.outer, moved])
@@ -193,11 +194,6 @@ def _shell(frame: ViewFrame) -> Iterator[Candidate]:
 
 def _hull(frame: ViewFrame) -> Iterator[Candidate]:
     yield Candidate("hull", frame.outer, NO_SYMMETRY, 0.0, smooth=True)
-
-
-def _quantiles(count: int) -> np.ndarray:
-    """Even quantiles (count,) of the exponential distribution with mean 1."""
-    return -np.log1p(-(np.arange(count) + 0.5) / count)
 
 
 KINDS: tuple[Callable[[ViewFrame], Iterator[Candidate]], ...] = (

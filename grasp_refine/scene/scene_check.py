@@ -11,7 +11,6 @@ from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.array_types import Float, Int
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.geometry.body import Body
-from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.units import PLAUSIBLE_DIAGONALS_M, size_text
 from grasp_refine.hands.chain import Chain
 from grasp_refine.objects.object import Object, load_object
@@ -251,7 +250,10 @@ def _near_pairs(environment: Environment) -> tuple[np.ndarray, np.ndarray]:
     placed = zip(environment.bodies, environment.T_object_body, strict=True)
     boxes = np.array([_box(one.body, T) for one, T in placed]).reshape(-1, 2, 3)
     built = np.array(
-        [not one.movable and all(_is_box(piece) for piece in one.body.pieces) for one in environment.bodies]
+        [
+            not one.movable and all(piece.radius == 0.0 and len(piece.vertices) == 8 for piece in one.body.pieces)
+            for one in environment.bodies
+        ]
     )
     rows, columns = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
     for k, (low, high) in enumerate(boxes):
@@ -261,10 +263,6 @@ def _near_pairs(environment: Environment) -> tuple[np.ndarray, np.ndarray]:
         rows.append(np.full(len(near), k))
         columns.append(k + 1 + near)
     return np.concatenate(rows), np.concatenate(columns)
-
-
-def _is_box(piece: Piece) -> bool:
-    return piece.radius == 0.0 and len(piece.vertices) == 8
 
 
 def _box(body: Body, T: np.ndarray) -> np.ndarray:

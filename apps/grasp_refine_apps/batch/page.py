@@ -153,7 +153,9 @@ def view_command(case: Case) -> str:
 def case_entry(picture: Picture) -> dict[str, Any]:
     """Entries of a case for the macro `figure` of templates; links are relative to the folder of its file."""
     case = picture.case
-    measures = (_measure_text(one, case.measures[one.name]) for one in COMPARED if _is_known(case, one))
+    measures = (
+        _measure_text(one, case.measures[one.name]) for one in COMPARED if not all(map(isnan, case.measures[one.name]))
+    )
     missed = f"did not hold: {case.reason}" if case.held is False and case.reason else "did not hold"
     file = PurePath(case.source).name
     origin = f"row {case.source_row} of {file}" if file and case.source_row is not None else file
@@ -173,11 +175,6 @@ def case_entry(picture: Picture) -> dict[str, Any]:
         ],
         "problem": picture.problem,
     }
-
-
-def _is_known(case: Case, measure: Measure) -> bool:
-    """Return whether a case has a value of a measure."""
-    return not all(map(isnan, case.measures[measure.name]))
 
 
 def _measure_text(measure: Measure, values: Iterable[float]) -> str:

@@ -30,7 +30,10 @@ def millimetres(metres: float) -> str:
     """Length in mm with three digits; digits below a tenth of a micrometre are meaningless."""
     if not isfinite(metres):
         return NONE
-    return "0" if metres == 0 else "< 0.0001" if metres < 0.95e-7 else _short(1e3 * metres)
+    if metres < 0.95e-7:
+        return "0" if metres == 0 else "< 0.0001"
+    value = 1e3 * metres
+    return f"{value:.4f}".rstrip("0") if value < 9.5e-4 else _three(value)
 
 
 def degrees(radians: float) -> str:
@@ -49,10 +52,6 @@ def axis_length(metres: float) -> str:
         if metres > 0.99 * size * (0.1 if unit == "mm" else 1.0):
             return f"{metres / size:.3g} {unit}"
     return f"{metres * 1e9:.3g} nm"
-
-
-def _short(value: float) -> str:
-    return f"{value:.4f}".rstrip("0") if value < 9.5e-4 else _three(value)
 
 
 def _three(value: float) -> str:

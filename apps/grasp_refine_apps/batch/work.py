@@ -69,7 +69,7 @@ class BundleWork:
 
     def _results(self, bundle: Bundle, heartbeat: Heartbeat) -> tuple[Done | Failed, ...]:
         """Refine all shards that can be loaded in one batch, then write the result of each."""
-        progress = _BundleProgress(heartbeat, bundle.size, self._most(), simulates=bool(self.engines))
+        progress = _BundleProgress(heartbeat, bundle.size, most_iterations(self.config), simulates=bool(self.engines))
         costs = [Cost() for _ in bundle.shards]
         problems = [
             _attempt(cost, partial(self._load, shard, heartbeat))
@@ -128,10 +128,6 @@ class BundleWork:
             notes=tuple(note for note in problem.notes if note not in problem.convention_notes),
             convention_notes=problem.convention_notes,
         )
-
-    def _most(self) -> int:
-        """Maximum iterations of a grasp, for the progress."""
-        return most_iterations(self.config)
 
     def _save(self, shard: Shard, refined: RefinedGrasps) -> None:
         task = shard.task

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from types import NoneType
@@ -148,7 +148,8 @@ class OptionRules(ConstructorRegistry):
         inner, extras = _split(hint)
         if not extras and hasattr(kind, "groups") and not is_dataclass(inner):
             hint = self._annotated(inner, value, getattr(kind, "metavars", {}).get(name))
-        return StructFieldSpec(name, hint, value, _helptext(kind, name))
+        # Docstrings are read when the help is shown.
+        return StructFieldSpec(name, hint, value, lambda: in_options(docs_of(kind).get(name, "")))
 
     def _annotated(self, kind: Any, value: Any, metavar: str | None) -> Any:
         """Return the annotation of an option for a type of the library."""
@@ -165,11 +166,6 @@ class OptionRules(ConstructorRegistry):
 @cache
 def _hints(kind: type) -> dict[str, Any]:
     return get_type_hints(kind, include_extras=True)
-
-
-def _helptext(kind: type, name: str) -> Callable[[], str]:
-    """Return a function of the help of a field, which is read when it is shown."""
-    return lambda: in_options(docs_of(kind).get(name, ""))
 
 
 def _split(hint: Any) -> tuple[Any, tuple[Any, ...]]:

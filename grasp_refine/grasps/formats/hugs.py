@@ -18,7 +18,7 @@ import numpy as np
 
 from grasp_refine.grasps.formats.folders import floating_folder
 from grasp_refine.grasps.formats.format import Format, Load, Part, omission_notes, single_grasps
-from grasp_refine.grasps.formats.layout import BODEX, Layout
+from grasp_refine.grasps.formats.layout import BODEX
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.formats.stages import (
     GRASP,
@@ -82,7 +82,7 @@ class Hugs(Format):
             scale=source.scale(held["obj_scale"], "obj_scale"),
         )
         notes = ["succ_flag has no place in a grasp set"] if "succ_flag" in held else []
-        if set(grasps.joint_names) == set(_layout("leap").joints):
+        if any(layout.hand == "leap" and set(grasps.joint_names) == set(layout.joints) for layout in LAYOUTS):
             notes.append("its LEAP hand has other fingertips than ours")
         return grasps, notes
 
@@ -106,7 +106,3 @@ class Hugs(Format):
             parts.append(Part(f"{place}_grasp.npy", np.array([row]), content))
         notes = [*missing_stage_notes(grasps), "there is no scene: scene_path is empty"]
         return parts, [*notes, *omission_notes(grasps, layout.joints)]
-
-
-def _layout(hand: str) -> Layout:
-    return next(layout for layout in LAYOUTS if layout.hand == hand)

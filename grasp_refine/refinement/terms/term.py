@@ -184,7 +184,7 @@ class Term(ABC):
         """
         found = self.residuals(state)
         check_residuals(self, found, len(state.member))
-        return reduce(add, (_sum_of_squares(residual) for residual in found))
+        return reduce(add, (array_namespace(r).sum(r * r, axis=tuple(range(1, r.ndim))) for r in found))
 
 
 def check_residuals(term: Term, found: Any, count: int) -> None:
@@ -220,7 +220,3 @@ def checked_rows(term: Term, state: State, width: np.ndarray) -> Iterator[LinkRo
                 f"{shape} and {np.shape(derivative)}"
             )
         yield part
-
-
-def _sum_of_squares(residual: Array) -> Array:
-    return array_namespace(residual).sum(residual * residual, axis=tuple(range(1, residual.ndim)))

@@ -225,11 +225,8 @@ class AlignProblem:
                 w[row] = random_rotation(rng, far=way == 2)
         T = choose(kind == 2, now.T, best.T)
         pivot = transform_points(T, self.tasks.target_b[member])
-        drawn = turned(T, pivot, w, self._goal(member))
+        goal = transform_points(self.tasks.T_world_a[member], self.tasks.target_a[member])
+        drawn = turned(T, pivot, w, goal)
         return Point(
             drawn if self.closed is None else choose(kind == 1, self.closed.poses(member, T, roll), drawn), now.q
         )
-
-    def _goal(self, member: np.ndarray) -> np.ndarray:
-        """Return the targets of body a (M, 3), world frame."""
-        return transform_points(self.tasks.T_world_a[member], self.tasks.target_a[member])

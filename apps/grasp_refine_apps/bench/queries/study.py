@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from grasp_refine.collision.query import Pairs
 from grasp_refine.hands.self_collision import candidate_pairs, classify_pairs
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.spec import ProblemSpec
@@ -126,7 +125,9 @@ def skips(name: str, scene: Scene, seed: int, progress: Progress) -> list[Row]:
     apart = set(candidate_pairs(hand)) - {*judged.nearly_always}
     # Each start is evaluated before its first iteration.
     evaluated = int((found.iterations + found.starts).sum())
-    every = evaluated * sum(map(_piece_pairs, pairs))
+    every = evaluated * sum(
+        len(a.pieces) * len(b.pieces) for each in pairs for a, b in zip(each.a, each.b, strict=True)
+    )
     counts = (
         ("far links, pieces that cannot win", "queries", every, found.queries.sum()),
         ("grasps that are done", "iterations", len(scene.q) * found.iterations.max(), found.iterations.sum()),
@@ -145,16 +146,6 @@ def skips(name: str, scene: Scene, seed: int, progress: Progress) -> list[Row]:
         }
         for skip, unit, without, with_ in counts
     ]
-
-
-def _piece_pairs(pairs: Pairs) -> int:
-    """Number of pairs of pieces of all pairs of bodies."""
-    return sum(len(a.pieces) * len(b.pieces) for a, b in zip(pairs.a, pairs.b, strict=True))
-
-
-def _bodies(row: Row) -> str:
-    """Format the two bodies: pieces by vertices of each."""
-    return f"{row['kind']} {row['pieces']}x{row['vertices']}"
 
 
 def _methods(rows: Sequence[Row]) -> list[str]:
@@ -213,7 +204,8 @@ def _printed(rows: Sequence[Row]) -> Table:
         cold, warm = (next(row for row in group if row["warm"] == which) for which in (False, True))
         ratios = {row["by"]: row["forward_ratio"] for row in group if not row["warm"]}
         per_pose = cold["queries_asked"] / cold["poses"]
-        lines.append({**cold, **ratios, "bodies": _bodies(cold), "warm_us": warm["forward_us"], "per_pose": per_pose})
+        bodies = f"{cold['kind']} {cold['pieces']}x{cold['vertices']}"
+        lines.append({**cold, **ratios, "bodies": bodies, "warm_us": warm["forward_us"], "per_pose": per_pose})
     what = {peer.name: peer.what for peer in PEERS}
     return Table(
         f"CPU µs of a witness query by engine {rows[0]['by']}; of others, multiples",

@@ -23,7 +23,7 @@ from grasp_refine_apps.bench.stability.bodies import make_pairs
 from grasp_refine_apps.bench.stability.cases import Task
 from grasp_refine_apps.bench.stability.judging import tolerance
 from grasp_refine_apps.bench.stability.motion import Motion, Scene, forms_of, move, rigid_motion, sphere_motion
-from grasp_refine_apps.bench.stability.poses import PosedBodies, pose_samplers
+from grasp_refine_apps.bench.stability.poses import pose_samplers
 from grasp_refine_apps.bench.stability.rows import Cell
 
 TOLERANCE = 1e-9
@@ -112,7 +112,8 @@ def judged(scene: Scene, way: cases.Derivative, method: Derivative | None = None
                 np.abs(motion.distance - other.distance).max(axis=(1, 2)) / rounding,
             ]
         )
-        along = (motion.distance[:, 1, :3] * _truth_normal(scene.posed)).sum(axis=1)
+        normal = (scene.posed.T_a[:, :3, :3] @ scene.posed.truth.normal[..., None])[..., 0]
+        along = (motion.distance[:, 1, :3] * normal).sum(axis=1)
         # Directions are checked where there is one and distances are right: wrong distances are counted elsewhere.
         true, allowed = scene.posed.truth.distance, tolerance(scene.diagonal, reach, way.dtype)
         known = (np.abs(true) > 4.0 * allowed) & (np.abs(w.distance - true) <= allowed)
@@ -150,11 +151,6 @@ def _left_behind(motion: Motion) -> np.ndarray:
     moment = a[..., 3:] + b[..., 3:] + np.cross(arm, b[..., :3] - f_b) - np.cross(w.normal[:, None], f_n)
     reach = 1.0 + np.abs(arm).max(axis=(1, 2))
     return np.maximum(np.abs(force).max(axis=(1, 2)), np.abs(moment).max(axis=(1, 2)) / reach)
-
-
-def _truth_normal(posed: PosedBodies) -> np.ndarray:
-    """The reference's normals (N, 3) in the world."""
-    return (posed.T_a[:, :3, :3] @ posed.truth.normal[..., None])[..., 0]
 
 
 def _slips(scene: Scene, motion: Motion, method: cases.Method, rounding: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
