@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import lru_cache
 from queue import Empty, SimpleQueue
 
 import numpy as np
@@ -17,17 +16,13 @@ from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.validation.engines.drake.build import build_plant
 from grasp_refine.validation.engines.drake.plant import Plant, rigid
-from grasp_refine.validation.engines.mujoco.parameters import Parameters, parameters_of
-from grasp_refine.validation.engines.mujoco.stepping import Conditions, StepCallback
+from grasp_refine.validation.engines.mujoco.parameters import building_engine
 from grasp_refine.validation.engines.mujoco.world import UP, World
 from grasp_refine.validation.engines.root_joints import root_values
 from grasp_refine.validation.engines.simulations import Engine, Simulations, Touch
 
 POSE_NUMBERS = 16
 """Numbers of a transform."""
-
-MAX_PLANTS = 64
-"""Largest number of plants that are kept: a chunk of grasps under different conditions."""
 
 
 def engine_for(world: World) -> Engine:
@@ -36,7 +31,9 @@ def engine_for(world: World) -> Engine:
     Raises:
         GraspRefineError: the model has a part that Drake has no counterpart of; names it.
     """
-    return Plants(world).simulations
+    return building_engine(
+        world, lambda world, parameters: Workspaces(build_plant(world, parameters)), Rows, engine="drake"
+    )
 
 
 class Workspace:
@@ -101,35 +98,6 @@ class Workspaces:
             yield workspace
         finally:
             self._idle.put(workspace)
-
-
-class Plants:
-    """Plants of a world, built as grasps under their conditions come."""
-
-    def __init__(self, world: World) -> None:
-        """Build the plant of the protocol.
-
-        Raises:
-            GraspRefineError: the model has a part that Drake has no counterpart of; names it.
-        """
-        self._get = lru_cache(maxsize=MAX_PLANTS)(lambda parameters: Workspaces(build_plant(world, parameters)))
-        self._get(Parameters.of(world))
-
-    def simulations(
-        self,
-        world: World,
-        conditions: Conditions,
-        running: Bool[np.ndarray, " N"],
-        threads: int,
-        on_step: StepCallback | None = None,
-    ) -> Rows:
-        """Return N simulations under `conditions`; only the `running` ones are stepped.
-
-        Raises:
-            GraspRefineError: a condition that only MuJoCo knows.
-        """
-        chosen = parameters_of(world, conditions, running, engine="drake")
-        return Rows(world, [self._get(parameters) for parameters in chosen], running, threads)
 
 
 class Rows(Simulations):

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 
 from grasp_refine.core.array_types import Bool
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.validation.engines.mujoco.stepping import Conditions
+from grasp_refine.validation.engines.mujoco.stepping import Conditions, StepCallback
 from grasp_refine.validation.engines.mujoco.world import World
+from grasp_refine.validation.engines.simulations import Engine, Simulations
+
+MAX_MODELS = 64
+"""Largest number of models of a world that are kept: a chunk of grasps under different conditions."""
+
+Model = TypeVar("Model")
 
 
 @dataclass(frozen=True)
@@ -50,3 +59,38 @@ def parameters_of(
         replace(nominal, **{name: float(value[row]) for name, value in values.items()}) if runs else nominal
         for row, runs in enumerate(running)
     ]
+
+
+def building_engine(
+    world: World,
+    build: Callable[[World, Parameters], Model],
+    simulations: Callable[[World, list[Model], np.ndarray, int], Simulations],
+    *,
+    engine: str,
+) -> Engine:
+    """Return an engine that builds its models of a world as grasps under their conditions come, the protocol's at once.
+
+    Args:
+        world: The world.
+        build: Builds a model.
+        simulations: Begins simulations: called with world, model of each, (N,) True for running ones, and threads.
+        engine: Name of the engine.
+
+    Raises:
+        GraspRefineError: the world has a part that the engine has no counterpart of; or, when it is called, a condition
+            that only MuJoCo knows.
+    """
+    model_of = lru_cache(maxsize=MAX_MODELS)(lambda parameters: build(world, parameters))
+    model_of(Parameters.of(world))
+
+    def begin(
+        world: World,
+        conditions: Conditions,
+        running: Bool[np.ndarray, " N"],
+        threads: int,
+        on_step: StepCallback | None = None,
+    ) -> Simulations:
+        chosen = parameters_of(world, conditions, running, engine=engine)
+        return simulations(world, [model_of(parameters) for parameters in chosen], running, threads)
+
+    return begin

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 
 from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.se3 import transform_from_pose
-from grasp_refine.validation.engines.mujoco.parameters import Parameters, parameters_of
-from grasp_refine.validation.engines.mujoco.stepping import Conditions, StepCallback
+from grasp_refine.validation.engines.mujoco.parameters import building_engine
 from grasp_refine.validation.engines.mujoco.world import World
 from grasp_refine.validation.engines.physx.blueprint import Blueprint, blueprint_of
 from grasp_refine.validation.engines.physx.workspace import Workspace
@@ -23,48 +21,18 @@ POSE_NUMBERS = 7
 ROOT_JOINTS = 6
 """Number of joints of the hand's root; they are the first ones."""
 
-MAX_BLUEPRINTS = 64
-"""Largest number of blueprints that are kept: a chunk of grasps under different conditions."""
-
 
 def engine_for(world: World) -> Engine:
     """Return the engine of a world.
 
+    It uses one thread: SAPIEN holds Python's lock while PhysX steps.
+
     Raises:
         GraspRefineError: the model has a part that PhysX has no counterpart of; names it.
     """
-    return Blueprints(world).simulations
-
-
-class Blueprints:
-    """Blueprints of a world, made as grasps under their conditions come."""
-
-    def __init__(self, world: World) -> None:
-        """Make the blueprint of the protocol.
-
-        Raises:
-            GraspRefineError: the model has a part that PhysX has no counterpart of; names it.
-        """
-        self._get = lru_cache(maxsize=MAX_BLUEPRINTS)(lambda parameters: blueprint_of(world, parameters))
-        self._get(Parameters.of(world))
-
-    def simulations(
-        self,
-        world: World,
-        conditions: Conditions,
-        running: Bool[np.ndarray, " N"],
-        threads: int,
-        on_step: StepCallback | None = None,
-    ) -> Rows:
-        """Return N simulations under `conditions`; only the `running` ones are stepped, one after the other.
-
-        SAPIEN holds Python's lock while PhysX steps, so that threads would not help.
-
-        Raises:
-            GraspRefineError: a condition that only MuJoCo knows.
-        """
-        chosen = parameters_of(world, conditions, running, engine="physx")
-        return Rows(world, [self._get(parameters) for parameters in chosen], running)
+    return building_engine(
+        world, blueprint_of, lambda world, models, running, threads: Rows(world, models, running), engine="physx"
+    )
 
 
 class Rows(Simulations):

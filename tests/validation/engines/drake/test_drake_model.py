@@ -13,7 +13,7 @@ from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.drake.plant import rigid
-from grasp_refine.validation.engines.drake.rows import Plants, Rows
+from grasp_refine.validation.engines.drake.rows import Rows, engine_for
 from grasp_refine.validation.engines.geom_pairs import touching_pairs
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
@@ -30,7 +30,7 @@ EXACT = [int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("BOX", "CAP
 def both(world: World, conditions: Conditions) -> tuple[Rows, MujocoRows]:
     """Simulations in Drake and in MuJoCo."""
     running = np.ones(len(conditions.friction), dtype=bool)
-    return Plants(world).simulations(world, conditions, running, 1), MujocoRows(world, conditions, running, 1)
+    return engine_for(world)(world, conditions, running, 1), MujocoRows(world, conditions, running, 1)
 
 
 def joints(rows: Rows) -> np.ndarray:

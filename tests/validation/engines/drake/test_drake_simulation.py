@@ -14,7 +14,7 @@ from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.scene.task import Task
 from grasp_refine.validation import simulation
 from grasp_refine.validation.engines.drake.contacts import CONTACT_STIFFNESS_N_M
-from grasp_refine.validation.engines.drake.rows import Plants, Rows
+from grasp_refine.validation.engines.drake.rows import Rows, engine_for
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from gripper import KP, RADIUS, around, ball, gripper, lifted, weighing
@@ -32,7 +32,7 @@ def world() -> World:
 def test_a_plate_sinks_in_by_its_force_over_the_stiffness_of_contacts(world: World, soft: float) -> None:
     """Stiffness falls with the square of the time constant."""
     conditions = Conditions(np.eye(4)[None], np.array([0.6]), contact_time=np.array([soft]))
-    rows = Plants(world).simulations(world, conditions, np.array([True]), 1)
+    rows = engine_for(world)(world, conditions, np.array([True]), 1)
     origin = np.array([[0.0, 0, 0, 1, 0, 0, 0]])
     rows.place(origin - [0, 0, 0.1, 0, 0, 0, 0], np.array([[-RADIUS, RADIUS]]), origin)
     rows.drive(origin - [0, 0, 0.1, 0, 0, 0, 0], np.array([[-RADIUS + 0.01, RADIUS - 0.01]]))
@@ -45,7 +45,7 @@ def test_the_root_goes_to_where_the_motion_says_and_is_raised_along_z_of_the_wor
     """From any pose to any other; its own weight bends no hand."""
     world = build_world(gripper(), ball(), Task(TABLETOP, table=Plane(offset=-50.0)))
     start, end = exp_se3(np.random.default_rng(1).normal(size=(2, 6)) * [0.05, 0.05, 0.05, 0.9, 0.6, 0.9])
-    rows = Plants(world).simulations(world, Conditions.nominal(world, 1), np.array([True]), 1)
+    rows = engine_for(world)(world, Conditions.nominal(world, 1), np.array([True]), 1)
     far = np.array([[0.0, 0, 5, 1, 0, 0, 0]])
     rows.place(pose_from_transform(start[None]), np.array([[0.005, -0.005]]), far)
     crossed = rows.touching(np.array([0]))
@@ -73,10 +73,10 @@ def palm(rows: Rows) -> np.ndarray:
 @pytest.mark.parametrize(("protocol", "hand_kg"), [(STRICT, 0.05), (TABLETOP, 5.0), (TABLETOP, 0.05)])
 def test_the_palm_gives_way_to_no_load_whatever_it_weighs(protocol: Protocol, hand_kg: float) -> None:
     world = build_world(weighing(hand_kg), ball(), Task(protocol.with_mass(1.0)))
-    plants, made = Plants(world), []
+    begin, made = engine_for(world), []
 
     def engine(*arguments: object) -> Rows:
-        made.append(plants.simulations(*arguments))
+        made.append(begin(*arguments))
         return made[-1]
 
     motion = around(25.0)

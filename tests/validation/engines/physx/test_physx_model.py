@@ -18,7 +18,7 @@ from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.stepping import Rows as MujocoRows
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.engines.physx.rows import Blueprints, Rows
+from grasp_refine.validation.engines.physx.rows import Rows, engine_for
 from grasp_refine.validation.engines.physx.shapes import let_collide, material_of, shape_of
 from grasp_refine.validation.engines.simulations import OBJECT_GEOM
 from gripper import ball, two_balls
@@ -38,7 +38,7 @@ def unlimited() -> HandModel:
 def both(world: World, conditions: Conditions) -> tuple[Rows, MujocoRows]:
     """Return simulations in PhysX and in MuJoCo."""
     running = np.ones(len(conditions.friction), dtype=bool)
-    return Blueprints(world).simulations(world, conditions, running, 1), MujocoRows(world, conditions, running, 1)
+    return engine_for(world)(world, conditions, running, 1), MujocoRows(world, conditions, running, 1)
 
 
 def joints(rows: Rows) -> np.ndarray:

@@ -15,7 +15,7 @@ from grasp_refine.scene.task import Task
 from grasp_refine.validation import simulation
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.engines.physx.rows import ROOT_JOINTS, Blueprints, Rows
+from grasp_refine.validation.engines.physx.rows import ROOT_JOINTS, Rows, engine_for
 from gripper import around, ball, gripper, lifted, weighing
 
 FAR_HAND = np.array([[0.0, 5, 0, 1, 0, 0, 0]])
@@ -23,7 +23,7 @@ FAR_HAND = np.array([[0.0, 5, 0, 1, 0, 0, 0]])
 
 def rows_of(world: World) -> Rows:
     """Return one simulation in PhysX."""
-    return Blueprints(world).simulations(world, Conditions.nominal(world, 1), np.array([True]), 1)
+    return engine_for(world)(world, Conditions.nominal(world, 1), np.array([True]), 1)
 
 
 @pytest.mark.parametrize("degrees_above", [-1.0, 1.0, 5.0])
@@ -71,10 +71,10 @@ def palm(rows: Rows) -> np.ndarray:
 @pytest.mark.parametrize(("protocol", "hand_kg"), [(STRICT, 0.05), (TABLETOP, 5.0), (TABLETOP, 0.05)])
 def test_the_palm_gives_way_to_no_load_whatever_it_weighs(protocol: Protocol, hand_kg: float) -> None:
     world = build_world(weighing(hand_kg), ball(), Task(protocol.with_mass(1.0)))
-    blueprints, made = Blueprints(world), []
+    begin, made = engine_for(world), []
 
     def engine(*arguments: object) -> Rows:
-        made.append(blueprints.simulations(*arguments))
+        made.append(begin(*arguments))
         return made[-1]
 
     motion = around(25.0)
