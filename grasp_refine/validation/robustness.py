@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from grasp_refine.closing.motion import STAGES, Motion
 from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.se3 import matrix_from_quaternion
 from grasp_refine.scene.protocols.noise import Noise
-from grasp_refine.validation.engines.mujoco.stepping import Conditions, Rows
+from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import TABLE, World
 from grasp_refine.validation.engines.simulations import Engine
 from grasp_refine.validation.simulation import simulate
@@ -24,16 +25,22 @@ SEED = 0
 """Seed of the offsets that are part of a protocol: they are the same before and after, and for all generators."""
 
 
+class How(TypedDict, total=False):
+    """Arguments of all trials here, as of `simulate`; progress counts every trial of a grasp."""
+
+    threads: int | None
+    progress: Progress | None
+    engine: Engine
+
+
 def judge(
     world: World,
     motion: Motion,
     conditions: Conditions | None = None,
     *,
     numbers: Int[np.ndarray, " N"] | None = None,
-    threads: int | None = None,
     first_failure: bool = False,
-    progress: Progress | None = None,
-    engine: Engine = Rows,
+    **how: Unpack[How],
 ) -> Trials:
     """Return the trials of N grasps as by `simulate`, with the verdict of the whole protocol.
 
@@ -45,31 +52,21 @@ def judge(
         motion: N grasps.
         conditions: What differs between the grasps; by default that of grasps and protocol.
         numbers: Number (N,) of each grasp, such as its row, on which its offsets depend; by default 0 to N - 1.
-        threads: CPU threads.
         first_failure: As for `simulate`.
-        progress: Called with the number of finished grasps, in fractions.
-        engine: As for `simulate`.
+        how: Threads, progress and engine; progress is the number of finished grasps, in fractions.
     """
-    total = 1 + world.protocol.noise.count
+    total, progress = 1 + world.protocol.noise.count, how.get("progress")
 
     def report(done: float) -> None:
         if progress is not None:
             progress(done / total)
 
-    trials = simulate(
-        world, motion, conditions, threads=threads, first_failure=first_failure, progress=report, engine=engine
-    )
+    how["progress"] = report
+    trials = simulate(world, motion, conditions, first_failure=first_failure, **how)
     if not world.protocol.noise.count:
         return trials
-    label = offset_labels(
-        world,
-        motion,
-        conditions,
-        numbers=numbers,
-        threads=threads,
-        progress=lambda done: report(len(motion) + done),
-        engine=engine,
-    )
+    how["progress"] = lambda done: report(len(motion) + done)
+    label = offset_labels(world, motion, conditions, numbers=numbers, **how)
     return replace(trials, label=label, success=label >= world.protocol.required_label)
 
 
@@ -79,9 +76,7 @@ def offset_labels(
     conditions: Conditions | None = None,
     *,
     numbers: Int[np.ndarray, " N"] | None = None,
-    threads: int | None = None,
-    progress: Progress | None = None,
-    engine: Engine = Rows,
+    **how: Unpack[How],
 ) -> Float[np.ndarray, " N"]:
     """Return the share (N,) of the protocol's offsets of the object at which a grasp holds; arguments as of `judge`.
 
@@ -96,9 +91,7 @@ def offset_labels(
         numbers=np.arange(len(motion)) if numbers is None else numbers,
         upright=_normal(world),
         seed=SEED,
-        threads=threads,
-        progress=progress,
-        engine=engine,
+        **how,
     )
 
 
@@ -112,9 +105,7 @@ def noise_score(
     numbers: Int[np.ndarray, " N"],
     upright: Float[np.ndarray, " 3"] | None = None,
     seed: int = 0,
-    threads: int | None = None,
-    progress: Progress | None = None,
-    engine: Engine = Rows,
+    **how: Unpack[How],
 ) -> Float[np.ndarray, " N"]:
     """Return the share (N,) of the offsets of the object at which a grasp still holds by the rule for directions.
 
@@ -127,23 +118,13 @@ def noise_score(
         numbers: Number (N,) of each grasp: its offsets depend on this and on the seed only.
         upright: Unit normal (3,) of the table, where there is one: objects then stay on it, shifted and turned.
         seed: Seed of the offsets.
-        threads: CPU threads.
-        progress: Called with finished trials, of N x `noise.count`.
-        engine: As for `simulate`.
+        how: Threads, progress and engine; progress is the number of finished trials, of N x `noise.count`.
     """
     each = np.repeat(np.arange(len(motion)), noise.count)
     elsewhere = (Conditions.nominal(world, len(motion)) if conditions is None else conditions).select(each)
     T = noise.poses(numbers, middle=middle, upright=upright, seed=seed).reshape(-1, 4, 4)
     elsewhere = replace(elsewhere, T_world_object=elsewhere.T_world_object @ T)
-    trials = simulate(
-        world,
-        motion.select(each),
-        elsewhere,
-        threads=threads,
-        first_failure=True,
-        progress=progress,
-        engine=engine,
-    )
+    trials = simulate(world, motion.select(each), elsewhere, first_failure=True, **how)
     return trials.success.reshape(len(motion), noise.count).mean(axis=1)
 
 
@@ -153,24 +134,13 @@ def holds_at(
     frictions: Sequence[float],
     *,
     numbers: Int[np.ndarray, " N"] | None = None,
-    threads: int | None = None,
-    progress: Progress | None = None,
-    engine: Engine = Rows,
+    **how: Unpack[How],
 ) -> Bool[np.ndarray, "N F"]:
     """Return True (N, F) where a grasp holds with a coefficient of sliding friction; arguments as of `judge`."""
     each, at = np.repeat(np.arange(len(motion)), len(frictions)), np.tile(frictions, len(motion))
     conditions = replace(Conditions.nominal(world, len(each)), friction=at.astype(float))
     numbers = each if numbers is None else numbers[each]
-    trials = judge(
-        world,
-        motion.select(each),
-        conditions,
-        numbers=numbers,
-        threads=threads,
-        first_failure=True,
-        progress=progress,
-        engine=engine,
-    )
+    trials = judge(world, motion.select(each), conditions, numbers=numbers, first_failure=True, **how)
     return trials.success.reshape(len(motion), len(frictions))
 
 
@@ -179,18 +149,13 @@ def holds_without_squeeze(
     motion: Motion,
     *,
     numbers: Int[np.ndarray, " N"] | None = None,
-    threads: int | None = None,
-    progress: Progress | None = None,
-    engine: Engine = Rows,
+    **how: Unpack[How],
 ) -> Bool[np.ndarray, " N"]:
     """Return True (N,) where a grasp holds when the hand stops closing at the grasp; arguments as of `judge`."""
     grasp, squeeze = STAGES.index("grasp"), STAGES.index("squeeze")
     T, q = motion.T_world_root.copy(), motion.q.copy()
     T[:, squeeze], q[:, squeeze] = T[:, grasp], q[:, grasp]
-    trials = judge(
-        world, Motion(T, q), numbers=numbers, threads=threads, first_failure=True, progress=progress, engine=engine
-    )
-    return trials.success
+    return judge(world, Motion(T, q), numbers=numbers, first_failure=True, **how).success
 
 
 def _normal(world: World) -> Float[np.ndarray, " 3"] | None:
