@@ -38,13 +38,15 @@ class Node:
 class Page:
     """Connected to a server; close it before the server stops."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
+    def __init__(self, server: viser.ViserServer, token: str = "") -> None:
         """Connect, and look at the scene, without which viser hears nothing of a page."""
         self.messages: list[dict[str, Any]] = []
         """All that the server said, in turn."""
         known = set(server.get_clients())
         self._socket = connect(
-            f"ws://127.0.0.1:{server.get_port()}", subprotocols=[f"viser-v{viser.__version__}"], max_size=None
+            f"ws://127.0.0.1:{server.get_port()}/?token={token}",
+            subprotocols=[f"viser-v{viser.__version__}"],
+            max_size=None,
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()

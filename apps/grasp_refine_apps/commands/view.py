@@ -133,9 +133,8 @@ class View:
                 _wait_for_page(page.server, PAGE_PATIENCE_S if self.serving.open and _has_screen() else 0.0)
                 raise
             loading.show("Opening: drawing …")
-            with Viewer(page, controller):
-                loading.show("")
-                _wait(controller)
+            with Viewer(page, controller, lambda: loading.show("")) as viewer:
+                _wait(viewer)
         finally:
             close_server(page.server)
         return 0
@@ -263,7 +262,7 @@ def _grasp_of(replay: Replay, recording: Recording, hand: Hand) -> Reading:
     return Reading(grasps, OURS, (), ())
 
 
-def _wait(controller: Controller) -> None:
+def _wait(viewer: Viewer) -> None:
     """Wait for an interrupt; from then on, the time for cleaning up is limited.
 
     The first Ctrl-C only warns of unsaved grasps, if there are any.
@@ -275,7 +274,7 @@ def _wait(controller: Controller) -> None:
                 # If another thread gets the signal, this one is not woken by it.
                 time.sleep(SIGNAL_POLL_S)
         except KeyboardInterrupt as interrupt:
-            count = controller.state.num_unsaved
+            count = viewer.num_unsaved
             if asked or not count or interrupt.args != (signal.SIGINT,):
                 break
             asked = True

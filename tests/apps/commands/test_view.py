@@ -176,6 +176,6 @@ def test_ctrl_c_asks_once_for_grasps_that_are_not_saved(
 
     monkeypatch.setattr(view.time, "sleep", interrupted)
     monkeypatch.setattr(view.threading, "Timer", lambda *given: SimpleNamespace(start=lambda: None))
-    view._wait(SimpleNamespace(state=SimpleNamespace(num_unsaved=unsaved)))
+    view._wait(SimpleNamespace(num_unsaved=unsaved))
     assert next(coming, None) is None
     assert (told in capsys.readouterr().err) if told else capsys.readouterr().err == ""

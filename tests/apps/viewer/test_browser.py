@@ -20,6 +20,7 @@ from grasp_refine_apps.viewer.model.columns import STATUS
 from grasp_refine_apps.viewer.model.listing import Listing
 from grasp_refine_apps.viewer.model.pose import Pose
 from grasp_refine_apps.viewer.panels.app import Viewer
+from grasp_refine_apps.viewer.panels.session import Session
 from grasp_refine_apps.viewer.server.page import open_server
 from open_viewer import controller, example, settled
 
@@ -102,6 +103,11 @@ def wait_for_pose(viewer: Viewer, page: ViserPage, pose: Pose) -> None:
     until(lambda: np.allclose(page.pose(THUMB), T, atol=1e-5), "the thumb where kinematics has it")
 
 
+def shown(viewer: Viewer) -> Session:
+    """The first page."""
+    return next(session for session in viewer.sessions.values() if session.controller is viewer.controller)
+
+
 def press(page: ViserPage, key: str) -> None:
     """Press a key somewhere in the scene."""
     page.page.evaluate("() => document.activeElement.blur()")
@@ -159,25 +165,38 @@ def test_fifty_clicks_on_start_and_stop_leave_a_page_that_refines(viewer: Viewer
     until(lambda: viewer.controller.state.outcome is not None, "a result")
 
 
-def test_a_link_opens_grasp_and_tab_and_all_pages_see_the_same(
+def test_a_link_opens_grasp_and_tab_of_its_own_page_and_both_share_their_work(
     viewer: Viewer, page: ViserPage, open_page: Callable[..., ViserPage]
 ) -> None:
+    made, camera = viewer.controller, page.camera()
     other = open_page(viewer.address, (700, 500), query="grasp=2&tab=prove")
     tab = other.page.get_by_role("tab", name="Validate", exact=True)
     until(lambda: tab.count() and tab.get_attribute("aria-selected") == "true", "the tab of the link")
-    until(lambda: viewer.controller.state.number == 2, "the grasp of the link")
+    (its,) = (session.controller for session in viewer.sessions.values() if session.controller is not made)
+    until(lambda: its.state.number == 2, "the grasp of the link")
     until(lambda: "tab=validate" in other.page.evaluate("() => location.search"), "the tab in the address")
-    until(lambda: "grasp=mug+2" in page.page.evaluate("() => location.search"), "the grasp in the other address")
     until(lambda: other.page.title().startswith("mug.npz"), "the file in the title")
     # A small window has scene and panel, and the whole hand in the scene.
     until(lambda: other.scene_size() == (312.0, 500.0), "a scene beside the panel")
     other.wait_for_node(THUMB)
     tips = ("/grasp/hand/0", THUMB)
     until(lambda: all(0 < other.pixel(other.pose(name)[:3, 3])[0] < 312 for name in tips), "the whole hand")
-    viewer.controller.editor.set_joint(15, 0.5)
-    for each in (page, other):
-        each.wait_for_node(THUMB)
-        wait_for_pose(viewer, each, viewer.controller.state.pose)
+    # The first page stays at its grasp, where its camera was.
+    assert made.state.number == 0 and "grasp=mug+0" in page.page.evaluate("() => location.search")
+    assert page.page.get_by_role("tab", name="Refine", exact=True).get_attribute("aria-selected") == "true"
+    its.editor.set_joint(15, 0.5)
+    its.grasps.mark(2, "good")
+    wait_for_pose(viewer, other, its.state.pose)
+    wait_for_pose(viewer, page, made.state.pose)
+    np.testing.assert_allclose(page.camera(), camera, atol=1e-6)
+    press(page, "ArrowRight")
+    press(page, "ArrowRight")
+    until(lambda: made.state.number == 2, "the same grasp")
+    assert made.state.collection.mark(2) == "good" and made.state.pose is its.state.pose
+    wait_for_pose(viewer, page, its.state.pose)
+    made.editor.set_joint(15, 0.7)
+    wait_for_pose(viewer, other, made.state.pose)
+    its.grasps.mark(2, "")
 
 
 def test_keys_step_and_mark_and_typing_is_no_command(viewer: Viewer, page: ViserPage) -> None:
@@ -203,7 +222,7 @@ def test_keys_step_and_mark_and_typing_is_no_command(viewer: Viewer, page: Viser
     for _ in range(3):
         page.page.mouse.wheel(0, 400)
     until(lambda: not np.allclose(page.camera(), camera, atol=0.02), "a camera that steps back")
-    until(lambda: viewer.view._moved, "the server knows")
+    until(lambda: shown(viewer).view._moved, "the server knows")
     away = page.camera()
     press(page, "ArrowRight")
     until(lambda: made.state.number == 1, "the next grasp")
@@ -275,7 +294,7 @@ def test_a_fingertip_that_is_dragged_takes_its_finger_along(viewer: Viewer, page
     page.tab("Edit")
     act(lambda: page.row("Fingers").locator("input").check(), lambda: made.state.gizmo == "fingers", "the choice")
     before, camera = made.state.pose, page.camera()
-    middle = viewer.view.nodes.shapes[20].vertices.astype(float).mean(axis=0)
+    middle = shown(viewer).view.nodes.shapes[20].vertices.astype(float).mean(axis=0)
     x, y = page.pixel(transform_points(page.pose(THUMB), middle))
 
     def drag() -> None:

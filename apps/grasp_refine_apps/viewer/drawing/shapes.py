@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -44,6 +45,9 @@ CREASE_ANGLE_DEG = 35.0
 MAX_FACES = 20_000
 """Maximum faces of a drawn mesh; larger ones are decimated."""
 
+MAX_KEPT_HANDS = 4
+"""Hands whose visual shapes are kept in memory."""
+
 LIFT_M = 1.5e-4
 """Height in metres over a surface at which a drawing on it is in front of it."""
 
@@ -73,10 +77,20 @@ def visual_shapes(hand: Hand, say: Callable[[str], None] = lambda line: None) ->
     A link without a readable <visual> has its collision geometry, if any. `say` is called with a line about each
     <visual> that cannot be read.
     """
+    shapes, unread = _read_shapes(hand)
+    for line in unread:
+        say(line)
+    return shapes
+
+
+@lru_cache(MAX_KEPT_HANDS)
+def _read_shapes(hand: Hand) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
+    """Return the visual shapes of a hand, and lines about those that cannot be read; each page draws them again."""
+    unread: list[str] = []
     try:
-        visuals = load_visuals(hand.urdf, hand.links_by_name, say)
+        visuals = load_visuals(hand.urdf, hand.links_by_name, unread.append)
     except HandError as error:
-        say(str(error))
+        unread.append(str(error))
         visuals = []
     shapes = []
     for link in hand.links:
@@ -87,7 +101,7 @@ def visual_shapes(hand: Hand, say: Callable[[str], None] = lambda line: None) ->
         elif link.body is not None:
             shapes.append(_link_shape(hand, link.name, [piece.mesh() for piece in link.body.pieces]))
     behind = forearm(hand)
-    return tuple(replace(shape, faded=shape.link in behind) for shape in shapes)
+    return tuple(replace(shape, faded=shape.link in behind) for shape in shapes), tuple(unread)
 
 
 def forearm(hand: Hand) -> frozenset[str]:

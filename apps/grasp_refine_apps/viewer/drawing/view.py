@@ -46,8 +46,8 @@ Drawn = tuple[Hand, Object, DisplayOptions, Environment | None, Plane | None]
 class View:
     """The 3D scene; `draw` is called by one thread."""
 
-    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
-        """Start with an empty scene."""
+    def __init__(self, server: viser.ViserServer | viser.ClientHandle, controller: Controller) -> None:
+        """Start with an empty scene, of one page or of all."""
         self.server, self._controller = server, controller
         self.nodes: GraspNodes | None = None
         self._made: Drawn | None = None
@@ -191,13 +191,15 @@ class View:
 
         Cameras that users `moved` stay unless they are to see something else.
         """
-        camera, clients = self._camera, self.server.get_clients()
+        camera, site = self._camera, self.server
+        clients = site.get_clients() if isinstance(site, viser.ViserServer) else {site.client_id: site}
         if camera is None:
             return
         points, towards = self._points(state, nodes), camera.towards
-        first = self.server.initial_camera
-        first.up = UP
-        _set(first, fit_camera(points, points.mean(axis=0), towards, ASPECT_RATIO), NEAR_PLANE_M)
+        if isinstance(site, viser.ViserServer):
+            first = site.initial_camera
+            first.up = UP
+            _set(first, fit_camera(points, points.mean(axis=0), towards, ASPECT_RATIO), NEAR_PLANE_M)
         self._moved = set() if moved else self._moved & clients.keys()
         for number, client in clients.items():
             if number not in self._moved:

@@ -29,19 +29,23 @@ from grasp_refine_apps.viewer.meters.obstacles import ObstacleMeter, Overlap
 from grasp_refine_apps.viewer.meters.region_meter import Elsewhere, RegionMeter
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.listing import Listing
+from grasp_refine_apps.viewer.model.sharing import for_another_page
 from grasp_refine_apps.viewer.model.state import Shelved, State
 
 
 class Controller(Store):
     """Store of the state of the open grasps, with its commands in parts."""
 
-    def __init__(self, collection: Collection, settings: Any, compared: Collection | None = None) -> None:
+    def __init__(
+        self, collection: Collection, settings: Any, compared: Collection | None = None, *, beside: Store | None = None
+    ) -> None:
         """Show the first of the open grasps that can be drawn.
 
         Args:
             collection: The grasps.
             settings: Options of refinement (`State.settings`).
             compared: Grasps that they are compared with; they are on the shelf, too.
+            beside: Store with which the work on grasps is shared.
 
         Raises:
             GraspRefineError: the compared grasps are of another hand.
@@ -51,8 +55,10 @@ class Controller(Store):
             check_comparable(collection, compared)
             other = Shelved(compared, 0, {}, Listing())
             state = replace(state, shelf=(other,), compared=other)
-        super().__init__(state)
-        if state.number:
+        super().__init__(state, beside)
+        self.noticed = 0
+        """Number of the last notice that a page has shown."""
+        if state.number and beside is None:
             why = collection.undrawn(0).split(":")[0]
             count = count_text(int((~collection.posed).sum()), "grasp")
             self.notify(f"{count} cannot be drawn, such as the first ({why}); Browse lists why")
@@ -80,6 +86,13 @@ class Controller(Store):
         self.many = ManyGrasps(self, self.background, prepare, make_world)
         """Refinement and simulation of many grasps."""
         self.on_stop, self.on_idle = self.background.stopped, self.background.resume
+
+    def for_another_page(self) -> Controller:
+        """Return a controller that begins with the same grasps and chooses its own, on the same work."""
+        with self.lock:
+            made = Controller(self.state.collection, self.state.settings, beside=self)
+            made.become(for_another_page(self.state))
+            return made
 
     def overlaps(self, state: State) -> tuple[Overlap, ...]:
         """Return the links of the shown hand that are in bodies around the object, the deepest first."""

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.viewer.jobs.worker import Control, Stopped
+from grasp_refine_apps.viewer.model.sharing import with_shared
 from grasp_refine_apps.viewer.model.state import Job, JobKind, Notice, State
 
 Change = Callable[[State], State]
@@ -27,11 +28,15 @@ Made = TypeVar("Made")
 
 
 class Store:
-    """Present state, with the one worker whose jobs change it."""
+    """Present state, with the one worker whose jobs change it; several stores may share the work on grasps."""
 
-    def __init__(self, state: State) -> None:
-        """Start with a state, without a job."""
+    def __init__(self, state: State, beside: Store | None = None) -> None:
+        """Start with a state, without a job; share the work of `beside`, and of all that do."""
         self.lock = threading.RLock()
+        self._sharing: list[Store] = []
+        if beside is not None:
+            self.lock, self._sharing = beside.lock, beside._sharing
+        self._sharing.append(self)
         self._listeners: list[Callable[[State], None]] = []
         self._notices = 0
         self._state = state
@@ -49,6 +54,11 @@ class Store:
         """The present state; not one within a change, such as between the end of a job and the start of the next."""
         with self.lock:
             return self._state
+
+    def unlisten(self, listener: Callable[[State], None]) -> None:
+        """Call `listener` no more."""
+        with self.lock:
+            self._listeners.remove(listener)
 
     def listen(self, listener: Callable[[State], None]) -> None:
         """Call `listener` with every new state; it must return at once and call no command."""
@@ -168,8 +178,16 @@ class Store:
             self.become(self._state.evolve(**changes))
 
     def become(self, state: State) -> None:
-        """Make a state the present one, and call all listeners."""
+        """Make a state the present one, share its work, and call all listeners."""
         with self.lock:
-            self._state = replace(state, change=self._state.change + 1)
-            for listener in self._listeners:
-                listener(self._state)
+            before = self._state
+            self._show(state)
+            for other in self._sharing:
+                shared = other._state if other is self else with_shared(other._state, before, state)
+                if shared is not other._state:
+                    other._show(shared)
+
+    def _show(self, state: State) -> None:
+        self._state = replace(state, change=self._state.change + 1)
+        for listener in self._listeners:
+            listener(self._state)

@@ -1,34 +1,18 @@
-"""The viewer: scene, heading with measures of the shown grasp, and tabs, on a server."""
+"""The viewer: a session for each page that is open, on a server."""
 
 from __future__ import annotations
 
 import html
-from threading import Timer
+from collections.abc import Callable
+from threading import RLock, Timer
 from types import TracebackType
-from typing import Any
 
-from grasp_refine.assets.embedded import resource_dir
-from grasp_refine.hands.hand import Hand
-from grasp_refine_apps.viewer.drawing.colors import distance_legend
-from grasp_refine_apps.viewer.drawing.glyphs import newtons_per_centimetre
-from grasp_refine_apps.viewer.drawing.view import View
+import viser
+
+from grasp_refine_apps.viewer.drawing.shapes import visual_shapes
 from grasp_refine_apps.viewer.jobs.controller import Controller
-from grasp_refine_apps.viewer.meters.comparison import compared_text
-from grasp_refine_apps.viewer.meters.meter import title_of
-from grasp_refine_apps.viewer.meters.obstacles import overlaps_text
-from grasp_refine_apps.viewer.meters.region_meter import elsewhere_text
-from grasp_refine_apps.viewer.model.contacts import distances_text
-from grasp_refine_apps.viewer.model.state import State
-from grasp_refine_apps.viewer.panels.banner import Banner
-from grasp_refine_apps.viewer.panels.browse_panel import NEXT, PREVIOUS, BrowsePanel
-from grasp_refine_apps.viewer.panels.display_panel import DisplayPanel
-from grasp_refine_apps.viewer.panels.edit_panel import EditPanel
-from grasp_refine_apps.viewer.panels.export_panel import ExportPanel
-from grasp_refine_apps.viewer.panels.habits import Habits
-from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel
-from grasp_refine_apps.viewer.panels.validate_panel import ValidatePanel
-from grasp_refine_apps.viewer.server.page import SLOW_PERIOD_S, Drawer, Page, close_server
-from grasp_refine_apps.viewer.server.viser_private import icons_opened
+from grasp_refine_apps.viewer.panels.session import Session
+from grasp_refine_apps.viewer.server.page import Page, close_server
 
 BACKGROUND_DELAY_S = 4.0
 """Seconds until background work starts: browsers load the page first, with the same processor."""
@@ -36,112 +20,54 @@ BACKGROUND_DELAY_S = 4.0
 NOTEBOOK_HEIGHT_PX = 640
 """Height of the page in a notebook, pixels."""
 
-PANELS = (
-    ("Refine", RefinePanel),
-    ("Edit", EditPanel),
-    ("Validate", ValidatePanel),
-    ("Browse", BrowsePanel),
-    ("Files", ExportPanel),
-    ("View", DisplayPanel),
-)
-"""Titles and panels of the tabs."""
-
-
-GRASP_TABS = ("refine", "edit", "browse")
-"""Tabs that end a replay: they show and change the grasp. Files and View also serve the replay."""
-
 
 class Viewer:
-    """Server that shows the state of a controller; a context manager that closes both."""
+    """Server whose pages choose their grasps and share their work; a context manager that closes all."""
 
-    def __init__(self, page: Page, controller: Controller) -> None:
-        """Put scene and panels on the page, the scene first."""
-        server = page.server
-        self.page, self.server, self.controller = page, server, controller
-        self.view = View(server, controller)
-        self.view.draw(controller.state)
-        self._last_notice = 0
-        # No browser should show buttons that cannot be used yet.
-        with server.atomic(), icons_opened():
-            self._heading = server.gui.add_html("")
-            self.banner = Banner(server.gui)
-            tabs = server.gui.add_tab_group()
-            self.panels: list[Any] = []
-            # The first tab is open at first: a replay is played on its own.
-            replayed = controller.state.motion is not None
-            for title, kind in sorted(PANELS, key=lambda panel: replayed and panel[0] != "Validate"):
-                with tabs.add_tab(title):
-                    self.panels.append(kind(server, controller))
-            panels = {kind: panel for panel in self.panels for kind in [type(panel)]}
-            browse, refine = panels[BrowsePanel], panels[RefinePanel]
-            self.habits = Habits(
-                server,
-                controller,
-                {
-                    "next": lambda: browse.go(NEXT),
-                    "previous": lambda: browse.go(PREVIOUS),
-                    "play": lambda: self._play(refine, panels[ValidatePanel]),
-                },
-                self.view,
-                self._change_tab,
-                refine.form.placeholders,
-                browse.brush,
-            )
-            draws = (
-                self._draw_heading,
-                self.habits.draw,
-                self.banner.draw,
-                self._notify,
-                *(panel.draw for panel in self.panels),
-            )
-            # Functions that draw what need not follow each iteration of a refinement.
-            slow_draws = [draw for panel in self.panels for draw in getattr(panel, "slow_draws", ())]
-            for draw in (*draws, *slow_draws):
-                draw(controller.state)
-        self._drawers = (
-            Drawer([self.view.draw, *draws], controller.state),
-            Drawer(slow_draws, controller.state, SLOW_PERIOD_S),
-        )
-        for drawer in self._drawers:
-            controller.listen(drawer.draw)
-        self.view.redraw = lambda: self._drawers[0].draw(controller.state)
-        panels[ExportPanel].settle = self._drawers[0].settle
-        panels[DisplayPanel].look, panels[DisplayPanel].cut = self.view.look, self.view.cut
-        server.on_client_connect(lambda client: self._drawers[0].draw(controller.state))
+    def __init__(self, page: Page, controller: Controller, drawn: Callable[[], None] = lambda: None) -> None:
+        """Serve pages; the first one shows the state of `controller`. `drawn` is called when a page is drawn."""
+        self.page, self.server, self.controller = page, page.server, controller
+        self.controllers = [controller]
+        """Controllers of all pages, also of pages that were closed: their jobs go on."""
+        self.sessions: dict[int, Session] = {}
+        """Sessions by the numbers of their pages."""
+        self._free, self._changing, self._closed = [controller], RLock(), False
+        self._drawn = drawn
+        # Read while the browser loads the page: every session needs them.
+        visual_shapes(controller.state.scene.hand)
+        controller.contacts(controller.state)
+        self.server.on_client_connect(self._join)
+        self.server.on_client_disconnect(self._leave)
         self._measuring = Timer(BACKGROUND_DELAY_S, controller.background.measure)
         self._measuring.daemon = True
         self._measuring.start()
 
-    def _play(self, refine: RefinePanel, validate: ValidatePanel) -> None:
-        """Play or pause the replay, or else the refinement."""
-        (refine.timeline.bar if self.controller.state.motion is None else validate.replay).toggle()
+    def _join(self, page: viser.ClientHandle) -> None:
+        """Give a page the controller of the last closed page, so that pages can be loaded again, or a new one."""
+        with self._changing:
+            if self._closed or page.client_id not in self.server.get_clients():
+                return
+            if not self._free:
+                self._free.append(self.controllers[-1].for_another_page())
+                self.controllers += self._free
+            self.sessions[page.client_id] = Session(page, self._free.pop())
+            self._drawn()
 
-    def _change_tab(self, tab: str) -> None:
-        """End a replay when another tab is opened that is about the grasp itself."""
-        job = self.controller.state.job
-        if tab in GRASP_TABS:
-            if job is not None and job.kind == "pull":
-                self.controller.stop()
-            if self.controller.state.motion is not None:
-                self.controller.player.show(None)
+    def _leave(self, page: viser.ClientHandle) -> None:
+        """Keep the controller of a closed page; nobody pulls any more, other jobs go on."""
+        with self._changing:
+            session = self.sessions.pop(page.client_id, None)
+            if session is not None:
+                session.close()
+                job = session.controller.state.job
+                if job is not None and job.kind == "pull":
+                    session.controller.stop()
+                self._free.append(session.controller)
 
-    def _draw_heading(self, state: State) -> None:
-        text = _heading(state, self.controller)
-        if self._heading.content != text:
-            self._heading.content = text
-
-    def _notify(self, state: State) -> None:
-        """Show a new notice; one from before the first client is shown to that client."""
-        notice, clients = state.notice, self.server.get_clients().values()
-        if notice is not None and notice.number != self._last_notice and clients:
-            self._last_notice = notice.number
-            for client in clients:
-                client.add_notification(
-                    "This did not work" if notice.bad else "grasp-refine",
-                    notice.text,
-                    color="red" if notice.bad else "blue",
-                    auto_close_seconds=None if notice.bad else 8.0,
-                )
+    @property
+    def num_unsaved(self) -> int:
+        """Largest number of unsaved grasps in any page."""
+        return max(controller.state.num_unsaved for controller in self.controllers)
 
     @property
     def address(self) -> str:
@@ -161,75 +87,17 @@ class Viewer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop the running job, and the server."""
+        """Stop the running jobs, and the server."""
         self.close()
 
     def close(self) -> None:
-        """Stop the running job, and the server."""
+        """Stop the running jobs, and the server."""
         self._measuring.cancel()
-        self.view.close()
-        for panel in self.panels:
-            if hasattr(panel, "close"):
-                panel.close()
-        self.controller.close()
-        for drawer in self._drawers:
-            drawer.close()
+        with self._changing:
+            self._closed = True
+            for session in self.sessions.values():
+                session.close()
+            self.sessions.clear()
+        for controller in self.controllers:
+            controller.close()
         close_server(self.server)
-
-
-def _heading(state: State, controller: Controller) -> str:
-    """Name and measures of the shown grasp as HTML."""
-    collection = state.collection
-    name = f"{collection.hand.name} on {collection.label(state.number)}"
-    lines = [f"<b>{html.escape(name)}</b>{badge(collection.hand)}"]
-    if state.motion is not None:
-        lines.append(html.escape(state.motion.text(state.motion_frame)))
-    elif state.shown.posed:
-        found = controller.contacts(state)
-        lines.append(distances_text(found.contact_error, found.penetration, title_of(state)))
-        if compared := compared_text(state, controller.contacts):
-            lines.append(f'<span style="color:var(--gr-good)">{html.escape(compared)}</span>')
-        if overlaps := overlaps_text(controller.overlaps(state)):
-            lines.append(f'<span style="color:var(--gr-bad)">{html.escape(overlaps)}</span>')
-        if elsewhere := elsewhere_text(controller.elsewhere(state)):
-            lines.append(f'<span style="color:var(--gr-bad)">{html.escape(elsewhere)}</span>')
-        if state.display.forces:
-            total = state.pressure_n
-            scale = newtons_per_centimetre(found.prepared.object.body, total)
-            lines.append(f"forces: an arrow of 1 cm is {scale:.2g} N, all press with {total:g} N")
-    else:
-        why = state.collection.undrawn(state.number).split(":")[0] or "its pose is not finite"
-        lines.append(f'<span style="color:var(--gr-bad)">not drawn: {html.escape(why)}</span>')
-    style = "padding:0.3em 1em;line-height:1.5;font-size:0.9em;overflow-wrap:anywhere"
-    return f'<div style="{style}">{"<br>".join(lines)}{SCALE}</div>'
-
-
-def badge(hand: Hand) -> str:
-    """Return HTML on a hand with simplified shapes, and the option for the maker's; empty for other hands."""
-    if not hand.urdf.is_relative_to(resource_dir("robots")):
-        return ""
-    name = hand.urdf.stem
-    style = "margin-left:.6em;padding:0 .5em;border:1px solid currentColor;border-radius:.8em;font-size:.8em"
-    advice = (
-        f"Rounded boxes and cylinders of the published dimensions, which are also what collides. For the maker's "
-        f"shapes start it with --hand hands/{name}, which 'refine-grasp assets fetch {name}' fetches, or with --urdf."
-    )
-    return (
-        f'<span style="{style}" title="{html.escape(advice)}" aria-label="{html.escape(advice)}">simplified hand</span>'
-    )
-
-
-def _scale() -> str:
-    """Colours of distances in one line of HTML."""
-    swatch = "display:inline-block;width:0.8em;height:0.8em;border-radius:50%;vertical-align:-0.05em"
-    parts = [
-        f'<span><span style="{swatch};background:rgb{color}"></span> {text}</span>' for text, color in distance_legend()
-    ]
-    return (
-        '<div style="display:flex;justify-content:space-between;font-size:0.78em;opacity:0.85;margin-top:0.2em">'
-        f"{''.join(parts)}</div>"
-    )
-
-
-SCALE = _scale()
-"""Legend of the colours of points and lines between links and object."""

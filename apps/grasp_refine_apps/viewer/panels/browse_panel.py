@@ -50,7 +50,7 @@ from grasp_refine_apps.viewer.panels.gallery import Thumbnails, gallery_html
 from grasp_refine_apps.viewer.panels.histogram import brushed_range, histogram_html
 from grasp_refine_apps.viewer.panels.table import ROWS_PER_PAGE, page_of, pages, table_html
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_choice, on_click
-from grasp_refine_apps.viewer.server.viser_private import click_script
+from grasp_refine_apps.viewer.server.viser_private import Site, click_script
 
 PREVIOUS, NEXT, RANDOM, WORST = "◀ Previous", "Next ▶", "Random", "Weakest"
 NOTHING = "nothing"
@@ -74,9 +74,9 @@ METRICS_STYLE = """<style>
 
 
 class BrowsePanel:
-    """Table of grasps with its commands; all browsers show the same list."""
+    """Table of grasps with its commands."""
 
-    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+    def __init__(self, server: Site, controller: Controller) -> None:
         """Make the widgets inside the tab or folder that is open."""
         self._server, self._controller = server, controller
         self._lock = threading.RLock()

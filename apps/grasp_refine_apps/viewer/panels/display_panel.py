@@ -22,12 +22,13 @@ from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.model.state import DisplayOptions, State
 from grasp_refine_apps.viewer.panels.form import Form
 from grasp_refine_apps.viewer.panels.habits import keys_html
+from grasp_refine_apps.viewer.server.viser_private import Site
 
 
 class DisplayPanel:
     """Display options, and the legend."""
 
-    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+    def __init__(self, server: Site, controller: Controller) -> None:
         """Make the widgets."""
         state, gui = controller.state, server.gui
         self.look: Callable[[viser.ClientHandle, str], None] = lambda client, view: None

@@ -15,6 +15,7 @@ from grasp_refine_apps.viewer.model.state import Gizmo, State
 from grasp_refine_apps.viewer.panels.joints import Joints
 from grasp_refine_apps.viewer.panels.region_panel import RegionPanel
 from grasp_refine_apps.viewer.panels.widgets import LiveInput, in_a_row, on_choice, on_click
+from grasp_refine_apps.viewer.server.viser_private import Site
 
 GIZMOS: Mapping[Gizmo, str] = {
     "hand": "Arrows and rings that move the hand",
@@ -27,7 +28,7 @@ GIZMOS: Mapping[Gizmo, str] = {
 class EditPanel:
     """Widgets that move hand, object and targets."""
 
-    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+    def __init__(self, server: Site, controller: Controller) -> None:
         """Make the widgets inside the tab or folder that is open."""
         self._controller = controller
         gui = server.gui

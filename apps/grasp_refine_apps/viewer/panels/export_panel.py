@@ -43,7 +43,7 @@ from grasp_refine_apps.viewer.model.present import present
 from grasp_refine_apps.viewer.model.state import JobKind, State
 from grasp_refine_apps.viewer.model.work import Work
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_click
-from grasp_refine_apps.viewer.server.viser_private import MAX_CONCURRENT_UPLOADS, limit_uploads
+from grasp_refine_apps.viewer.server.viser_private import MAX_CONCURRENT_UPLOADS, Site, limit_uploads, pages_of
 
 UNSPECIFIED_UNIT = "ask me"
 """Label of a unit that is not specified."""
@@ -59,7 +59,7 @@ MAX_PICTURE_PIXELS = 4096
 class ExportPanel:
     """Open grasps, uploads and downloads; downloads go only to the browser that requests them."""
 
-    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+    def __init__(self, server: Site, controller: Controller) -> None:
         """Make the widgets inside the tab or folder that is open."""
         self._server, self._controller = server, controller
         self.uploads = Uploads()
@@ -316,7 +316,7 @@ class ExportPanel:
         try:
             image = client.get_render(*_size(client.camera), transport_format="png", timeout=RENDER_TIMEOUT_S)
         except (RuntimeError, TimeoutError) as error:
-            if client.client_id in self._server.get_clients():
+            if client.client_id in pages_of(self._server):
                 self._controller.notify(f"there is no picture: the browser drew none ({error}); try again", bad=True)
             return
         finally:
@@ -360,7 +360,7 @@ class ExportPanel:
 
     def _send(self, client: viser.ClientHandle, saved: Saved) -> None:
         """Send a file to a browser, if it is still connected."""
-        if client.client_id in self._server.get_clients():
+        if client.client_id in pages_of(self._server):
             client.send_file_download(saved.name, saved.content, save_immediately=True)
 
 

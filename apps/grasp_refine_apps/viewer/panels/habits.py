@@ -20,7 +20,7 @@ from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.state import State
 from grasp_refine_apps.viewer.server.page import TITLE, set_theme
-from grasp_refine_apps.viewer.server.viser_private import widget_id
+from grasp_refine_apps.viewer.server.viser_private import Site, widget_id
 
 KEYS: Mapping[str, tuple[str, str, str]] = {
     "next": ("→", "ArrowRight", "Next grasp of the list in Browse"),
@@ -50,7 +50,7 @@ class Habits:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        server: Site,
         controller: Controller,
         commands: Mapping[str, Callable[[], object]],
         view: View,

@@ -23,6 +23,7 @@ from grasp_refine_apps.viewer.panels.plots import Plot
 from grasp_refine_apps.viewer.panels.timeline import Timeline
 from grasp_refine_apps.viewer.panels.units import SETTING_UNITS
 from grasp_refine_apps.viewer.panels.widgets import in_a_row, on_change, on_click
+from grasp_refine_apps.viewer.server.viser_private import Site
 
 FIRST_SETTINGS = ("prefer", "freeze")
 """Settings that are shown; all others are folded away."""
@@ -35,7 +36,7 @@ HIDDEN_SETTINGS = ("device", "dtype")
 class RefinePanel:
     """Widgets of the refinement."""
 
-    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+    def __init__(self, server: Site, controller: Controller) -> None:
         """Make the widgets inside the tab or folder that is open."""
         gui, settings = server.gui, controller.state.settings
         self._controller = controller

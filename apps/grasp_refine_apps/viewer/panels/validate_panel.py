@@ -21,6 +21,7 @@ from grasp_refine_apps.viewer.model.state import Job, State
 from grasp_refine_apps.viewer.model.validated import DirectionResult, TrialResult
 from grasp_refine_apps.viewer.panels.play_bar import PlayBar
 from grasp_refine_apps.viewer.panels.widgets import in_a_row, on_change, on_choice, on_click
+from grasp_refine_apps.viewer.server.viser_private import Site, pages_of
 
 AXIS_COLORS = {"x": "#e03131", "y": "#2f9e44", "z": "#1c7ed6"}
 """Colours of the axes, as frames in the scene have them."""
@@ -52,9 +53,9 @@ STYLE = """<style>
 
 
 class ValidatePanel:
-    """Widgets for one trial and for its replay; all browsers show the same."""
+    """Widgets for one trial, for its replay, and for a live pull."""
 
-    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+    def __init__(self, server: Site, controller: Controller) -> None:
         """Make the widgets inside the tab or folder that is open."""
         self._server, self._controller = server, controller
         self._lock = threading.RLock()
@@ -204,7 +205,7 @@ class ValidatePanel:
         if live:
             return
         self.replay.draw(np.round(motion.time - motion.time[0], 2), frame)
-        if new and self._server.get_clients():
+        if new and pages_of(self._server):
             self.replay.play()
 
 

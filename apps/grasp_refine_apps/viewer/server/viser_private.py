@@ -42,11 +42,22 @@ GZIP_LEVEL = 1
 """Compression of the page, which is sent over this machine mostly."""
 
 MAX_CONCURRENT_UPLOADS = 4
-"""Maximum concurrent uploads of all browsers together."""
+"""Maximum concurrent uploads of a page."""
 
 NODE_TEXT = """const node = window.__viserSceneTree && window.__viserSceneTree.getState()["NAME"];
     const text = node && node.message.props.text;"""
 """Script that sets `text` to the text of the label NAME: exported pages have no other way to read the scene."""
+
+
+Site = viser.ViserServer | viser.ClientHandle
+"""All pages of a server together, or one page: both have a scene and widgets of their own."""
+
+
+def pages_of(site: Site) -> dict[int, viser.ClientHandle]:
+    """Return the pages of a site that are connected, by number; viser keeps handles of pages that were closed."""
+    if isinstance(site, viser.ViserServer):
+        return site.get_clients()
+    return {number: page for number, page in site._viser_server.get_clients().items() if page is site}
 
 
 def widget_id(handle: Any) -> str:
@@ -177,18 +188,18 @@ def forbid_sharing(server: viser.ViserServer) -> None:
     server._websock_server.unregister_handler(_messages.ShareUrlRequest)
 
 
-def limit_uploads(server: viser.ViserServer, max_bytes: int, refuse: Callable[[str, int], None]) -> None:
+def limit_uploads(site: Site, max_bytes: int, refuse: Callable[[str, int], None]) -> None:
     """Refuse uploads of more than `max_bytes`, and too many at once; their bytes are dropped as they arrive.
 
     viser keeps whatever a browser sends in memory, and has no limit: its own record of uploads under way is used, after
     its own handlers, which ignore the parts of uploads that are not in it.
 
     Args:
-        server: The server.
+        site: The pages.
         max_bytes: Maximum bytes of one upload.
         refuse: Called with name and size of each refused upload, in the server's event loop; must return at once.
     """
-    under_way = uploads_under_way(server)
+    under_way, interface = uploads_under_way(site), site.gui._websock_interface
 
     def on_start(_: int, message: _messages.FileTransferStartUpload) -> None:
         size = message.size_bytes
@@ -196,7 +207,7 @@ def limit_uploads(server: viser.ViserServer, max_bytes: int, refuse: Callable[[s
         if not 0 < size <= max_bytes or len(under_way) > MAX_CONCURRENT_UPLOADS:
             if under_way.pop(message.transfer_uuid, None) is not None:
                 # The browser waits for the last byte to be received, and lets nothing else be uploaded until then.
-                server._websock_server.queue_message(
+                interface.queue_message(
                     _messages.FileTransferPartAck(message.source_component_uuid, message.transfer_uuid, size, size)
                 )
                 refuse(message.filename, size)
@@ -207,11 +218,11 @@ def limit_uploads(server: viser.ViserServer, max_bytes: int, refuse: Callable[[s
             # More than declared at the beginning.
             under_way.pop(message.transfer_uuid, None)
 
-    server._websock_server.register_handler(_messages.FileTransferStartUpload, on_start)
-    server._websock_server.register_handler(_messages.FileTransferPart, on_part)
+    interface.register_handler(_messages.FileTransferStartUpload, on_start)
+    interface.register_handler(_messages.FileTransferPart, on_part)
 
 
-def uploads_under_way(server: viser.ViserServer) -> dict[str, Any]:
+def uploads_under_way(site: Site) -> dict[str, Any]:
     """Return viser's record of the uploads that are under way, by their ids."""
-    record: dict[str, Any] = server.gui._current_file_upload_states
+    record: dict[str, Any] = site.gui._current_file_upload_states
     return record
