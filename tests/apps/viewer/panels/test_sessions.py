@@ -9,6 +9,7 @@ import pytest
 from grasp_refine.problem.problem import Problem
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.jobs.worker import Control
+from grasp_refine_apps.viewer.model.work import now
 from grasp_refine_apps.viewer.panels.app import Viewer
 from grasp_refine_apps.viewer.server.page import open_server
 from open_viewer import controller, settled
@@ -64,6 +65,9 @@ def test_marks_edits_refinements_and_undo_are_shared_and_the_iteration_is_not(vi
     assert mine.state.work is its.state.work and mine.state.unsaved == (2,)
     mine.player.scrub(1)
     assert mine.state.frame == 1 and its.state.frame != 1 and its.state.trace is mine.state.trace
+    # What else changes in that work comes without the other page's iteration.
+    its.set(tested_at=now())
+    assert mine.state.frame == 1 and mine.state.work.tested_at is its.state.work.tested_at is not None
     its.editor.undo()
     its.editor.undo()
     assert mine.state.pose is its.state.pose is not None and mine.state.pose.same(mine.state.initial)
@@ -72,7 +76,7 @@ def test_marks_edits_refinements_and_undo_are_shared_and_the_iteration_is_not(vi
     its.editor.set_joint(3, 0.3)
     assert mine.state.pose.same(mine.state.initial) and its.state.shelf == ()
     mine.grasps.reopen(0)
-    assert mine.state.number == 2 and mine.state.pose is its.state.pose
+    assert mine.state.number == 2 and mine.state.pose is its.state.pose and mine.state.pose.q[3] == 0.3
     first.close()
     second.close()
 
