@@ -70,7 +70,7 @@ def hub_dataset(path: str | Path, on_message: Callable[[str], None]) -> HubDatas
     if not (NAME.fullmatch(owner) and NAME.fullmatch(name)) or ".." in below:
         raise AssetError(f"{path}: names no data set of the Hub: hf://OWNER/NAME, or hf://OWNER/NAME/PATH")
     full = f"{owner}/{name}"
-    folder = _snapshot(full, [CARD], on_message)
+    folder = _snapshot(full, [CARD])
     licence = _licence(folder / CARD)
     terms = "open" if licence in OPEN else "non-commercial" if NON_COMMERCIAL.search(licence) else "unclear"
     return HubDataset(full, PurePosixPath(*below), licence, terms)
@@ -97,14 +97,14 @@ def fetch_dataset(
                "of huggingface_hub, or fetched")  # fmt: skip
     below = "" if str(dataset.below) == "." else str(dataset.below)
     wanted = [f"{below}/*{suffix}" if below else f"*{suffix}" for suffix in suffixes]
-    folder = _snapshot(dataset.name, [*wanted, *([below] if below else [])], on_message)
+    folder = _snapshot(dataset.name, [*wanted, *([below] if below else [])])
     place = folder / below
     if not place.exists():
         raise AssetError(f"{dataset.full_name}: has no {below} with files that end with {', '.join(suffixes)}")
     return place
 
 
-def _snapshot(name: str, patterns: list[str], on_message: Callable[[str], None]) -> Path:
+def _snapshot(name: str, patterns: list[str]) -> Path:
     """Folder with the files of a data set that match, in the cache of huggingface_hub."""
     try:
         import huggingface_hub

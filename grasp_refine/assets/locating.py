@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from grasp_refine.assets.cache import asset_folder, is_whole, main_path
-from grasp_refine.assets.download import RETRY_PAUSE_S
 from grasp_refine.assets.fetching import Progress, fetch_asset
 from grasp_refine.assets.manifest import Asset
 from grasp_refine.assets.origin import chosen_origin
@@ -18,7 +17,6 @@ def locate_asset(
     *,
     fetch: bool = True,
     progress: Progress = lambda place, done, total: None,
-    pause: float = RETRY_PAUSE_S,
 ) -> Path:
     """Return the main file of an asset, or the folder of a grasp set; all its files are in the cache and checked.
 
@@ -26,7 +24,6 @@ def locate_asset(
         asset: Asset to locate.
         fetch: Fetch missing and damaged files, when the licence is open or was accepted.
         progress: Called as files are fetched.
-        pause: Seconds before the second attempt at a file.
 
     Raises:
         AssetError: the asset is not in the cache and may not or cannot be fetched; names the remedy.
@@ -40,7 +37,7 @@ def locate_asset(
     if not here and not fetch:
         raise AssetError(f"{asset.full_name} is not here: refine-grasp assets fetch {asset.full_name}")
     if not here:
-        fetch_asset(asset, origin, progress=progress, pause=pause)
+        fetch_asset(asset, origin, progress=progress)
     return main_path(asset, origin.layout)
 
 

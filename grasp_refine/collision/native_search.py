@@ -116,7 +116,7 @@ class NativeSearch:
         return found
 
     def bare_loop(
-        self, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, limit: np.ndarray, threads: int | None = None
+        self, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, limit: np.ndarray
     ) -> Callable[[], np.ndarray]:
         """Return a function that only makes the narrow-phase queries of `query`: a lower bound for benchmarks.
 
@@ -128,7 +128,7 @@ class NativeSearch:
         distance = np.empty(len(item))
 
         def run() -> np.ndarray:
-            self._narrow_phase.distances(item, piece_pair, T_a, T_b, distance, threads or threads_for(len(pair)))
+            self._narrow_phase.distances(item, piece_pair, T_a, T_b, distance, threads_for(len(pair)))
             return distance
 
         return run

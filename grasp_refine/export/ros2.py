@@ -19,7 +19,6 @@ from grasp_refine.export.exported import ExportedGrasps
 from grasp_refine.export.target import Readme
 from grasp_refine.export.timed import timed
 from grasp_refine.grasps.formats.texts import dump_yaml
-from grasp_refine.hands.palm import is_of_arm
 from grasp_refine.motion.plan import MotionPlan, TrajectoryOptions, closing_paths, plan_motions, up_of
 from grasp_refine.motion.trajectory import Trajectory
 from grasp_refine.motion.trajectory_context import all_values, pressing_torques
@@ -150,7 +149,9 @@ def _posture(
     grasps: ExportedGrasps, stages: Sequence[Float[np.ndarray, " n"]], effort: Float[np.ndarray, " m"] | None = None
 ) -> Message:
     """Return the joints of the hand alone, with followers of others, at some stages, a second apart."""
-    mine = np.array([not is_of_arm(grasps.hand, name) for name in grasps.joint_names])
+    # Joints of the arm hang from links that are not at or below the palm.
+    of_arm, joints = () if grasps.hand.arm is None else grasps.hand.arm.links, grasps.hand.joints_by_name
+    mine = np.array([joints[name].parent not in of_arm for name in grasps.joint_names])
     values = all_values(grasps.hand, np.stack(stages))[:, mine]
     torque = None if effort is None else effort[mine]
     return {

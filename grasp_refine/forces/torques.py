@@ -82,7 +82,7 @@ def torque_bounds(
 
 
 def limit_shares(
-    hand: Hand, torque: Float[np.ndarray, "*N n"], q: Float[np.ndarray, "*#N n"], give: float = GIVE_RAD
+    hand: Hand, torque: Float[np.ndarray, "*N n"], q: Float[np.ndarray, "*#N n"]
 ) -> Float[np.ndarray, "*N n"]:
     """Return torques as shares (..., n) of the actuators' limits: 0 without a limit.
 
@@ -92,9 +92,8 @@ def limit_shares(
         hand: The hand.
         torque: Torques of the joints, in N m or N.
         q: Joint values at which they are made.
-        give: As for `torque_bounds`.
     """
-    least, greatest = torque_bounds(hand, q, give)
+    least, greatest = torque_bounds(hand, q, GIVE_RAD)
     demand = tensions(hand, torque)
     # A limit of 0 allows no torque at all.
     return np.abs(demand) / np.maximum(np.where(demand < 0.0, -least, greatest), MIN_LIMIT)

@@ -213,17 +213,16 @@ class ArmKinematics:
         q_hand: Float[np.ndarray, "N h"],
         T_world_palm: Float[np.ndarray, "N 4 4"],
         *,
-        starts: int = STARTS,
         seed: int = 0,
     ) -> Float[np.ndarray, "N 2"]:
         """Return how far (N, 2), in metres and radians, the palm stays from poses at the best of several attempts.
 
         The arguments are as in `solve`; poses and values are finite.
         """
-        q, _ = self._attempts(T_world_base, q_hand, T_world_palm, starts, seed)
-        count, rows = len(q), np.repeat(np.arange(len(q)), starts)
+        q, _ = self._attempts(T_world_base, q_hand, T_world_palm, STARTS, seed)
+        count, rows = len(q), np.repeat(np.arange(len(q)), STARTS)
         palm = self.palm(T_world_base[rows], q.reshape(len(rows), -1))
-        error = _error(palm, T_world_palm[rows]).reshape(count, starts, 2, 3)
+        error = _error(palm, T_world_palm[rows]).reshape(count, STARTS, 2, 3)
         away = np.linalg.norm(error, axis=-1)
         best = (away @ [1.0, ROTATION_M_PER_RAD]).argmin(axis=1)
         return away[np.arange(count), best]

@@ -17,8 +17,3 @@ def palm_poses(
         return T_world_root
     with np.errstate(invalid="ignore"):
         return Chain(hand, [hand.arm.palm])(T_world_root, q).T_world_link[:, 0]
-
-
-def is_of_arm(hand: Hand, joint: str) -> bool:
-    """Return whether a joint is one of the arm: whether it hangs from a link that is not at or below the palm."""
-    return hand.arm is not None and hand.joints_by_name[joint].parent in hand.arm.links

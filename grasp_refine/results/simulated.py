@@ -110,11 +110,6 @@ def simulation_lines(simulated: SimulatedGrasps, quality: np.ndarray) -> list[Te
     ]
 
 
-def closings_line(simulated: SimulatedGrasps) -> Text:
-    """Return a line on the source of pregrasps and squeezes before and after."""
-    return Text("before, ").append(closing_line(simulated.closing)).append("; after, they are our own")
-
-
 def simulation_entry(trials: Trials, i: int, protocol: Protocol) -> dict[str, Any]:
     """Return the trials of one grasp for JSON; SI units."""
     worst = trials.worst[i]

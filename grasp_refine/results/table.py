@@ -19,7 +19,7 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.changed import Changed
 from grasp_refine.results.fidelity_lines import fidelity_lines
 from grasp_refine.results.outcome import Outcome
-from grasp_refine.results.simulated import SimulatedGrasps, closings_line, simulation_lines
+from grasp_refine.results.simulated import SimulatedGrasps, closing_line, simulation_lines
 from grasp_refine.results.verdict import (
     REGION_ADVICE,
     estimate_line,
@@ -85,7 +85,10 @@ def grasp_table(
         lines = [simulation_lines(simulated, outcome.quality), *lines]
     parts += [line for part in (*lines, _misplaced(outcome)) for line in part]
     parts += fidelity_lines(outcome) or Changed.of(outcome, config.confidence).lines()
-    return Group(*parts, *_summary_lines(outcome), *([] if simulated is None else [closings_line(simulated)]))
+    closing = []
+    if simulated is not None:
+        closing = [Text("before, ").append(closing_line(simulated.closing)).append("; after, they are our own")]
+    return Group(*parts, *_summary_lines(outcome), *closing)
 
 
 def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | None, verbose: bool) -> Table:

@@ -20,7 +20,6 @@ from grasp_refine_apps.batch.failed import failed_text, left_over, suspected_tex
 from grasp_refine_apps.batch.headline import Verdict, headline_tiles
 from grasp_refine_apps.batch.pictures import Picture
 from grasp_refine_apps.batch.statistics import Statistics, Tally
-from grasp_refine_apps.batch.worst import Case
 from grasp_refine_apps.report.html_page import rendered
 
 MAX_KINDS, MAX_SHARDS_PER_KIND, MAX_JOBS = 30, 20, 500
@@ -145,11 +144,6 @@ def _row(hand: str, name: str, tally: Tally) -> dict[str, Any]:
     }
 
 
-def view_command(case: Case) -> str:
-    """Command that shows a case, run in the folder of the results."""
-    return shlex.join(["refine-grasp", "view", case.file.as_posix(), "--index", str(case.row), *case.look])
-
-
 def case_entry(picture: Picture) -> dict[str, Any]:
     """Entries of a case for the macro `figure` of templates; links are relative to the folder of its file."""
     case = picture.case
@@ -168,7 +162,8 @@ def case_entry(picture: Picture) -> dict[str, Any]:
         "file": case.file.as_posix(),
         "link": quote(case.file.as_posix()),
         "row": case.row,
-        "command": view_command(case),
+        # To be run in the folder of the results.
+        "command": shlex.join(["refine-grasp", "view", case.file.as_posix(), "--index", str(case.row), *case.look]),
         "pictures": [
             *([("as given", _embedded(picture.before))] if picture.before else []),
             ("refined" if picture.before else "", _embedded(picture.after)),

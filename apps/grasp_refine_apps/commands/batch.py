@@ -18,6 +18,7 @@ from rich.console import Console
 from tyro.conf import Positional, arg
 
 from grasp_refine.collision.engine import chosen
+from grasp_refine.core.cores import usable_cores
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import SCHEMA
 from grasp_refine.core.machine import machine
@@ -289,7 +290,7 @@ class Batch:
         if not todo:
             return
         clean(shard.path for shard in todo)
-        workers = self.sharding.num_workers(len(todo))
+        workers = min(self.sharding.workers or usable_cores(), len(todo))
         simulated = bool(work.engines)
         began = time.perf_counter()
         with Progress(console, todo, workers, session.skipped, simulated=simulated) as progress:

@@ -8,7 +8,6 @@ from typing import Annotated, ClassVar
 
 from tyro.conf import DisallowNone, arg
 
-from grasp_refine.core.cores import usable_cores
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.commands.option_rules import OptionGroup
 from grasp_refine_apps.commands.options import check_numbers
@@ -49,10 +48,6 @@ class Sharding:
     """Maximum attempts at a shard whose worker crashes or hangs, before it is recorded as failed."""
     again: bool = False
     """Refine everything again, including complete results."""
-
-    def num_workers(self, shards: int) -> int:
-        """Return the number of processes for a number of shards."""
-        return min(self.workers or usable_cores(), shards)
 
     def size(self, *, simulated: bool) -> int:
         """Return the maximum number of grasps of a shard, for grasps that are simulated or not."""

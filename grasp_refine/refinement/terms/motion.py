@@ -26,11 +26,6 @@ def without_nan(array: Array) -> Array:
     return xp.where(xp.isnan(array), xp.zeros_like(array), array)
 
 
-def contact_frames(witness: Witness) -> np.ndarray:
-    """Return two tangents (M, C, 3, 2) at each contact normal, as columns; any where there are no witness points."""
-    return tangents(np.where(witness.valid[..., None], witness.normal, [0.0, 0.0, 1.0]))
-
-
 def target_misses(state: State, goal: Goal, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the vectors (M, C, 3) from the targets of the links `columns` (C,) to the witness points, world frame.
 
@@ -63,7 +58,8 @@ def contact_curvatures(
         width: Factors (M,) of these radii.
     """
     w = state.witness.pairs(columns)
-    E = contact_frames(w)
+    # Any tangents where there are no witness points.
+    E = tangents(np.where(w.valid[..., None], w.normal, [0.0, 0.0, 1.0]))
     shape = w.distance.shape
     item = np.flatnonzero((needed & w.valid).reshape(-1))
     K = setup.prepared.curvatures.fit(

@@ -172,8 +172,3 @@ def matching_object(name: str, objects: Sequence[ObjectCase]) -> ObjectCase:
         those = f"several are: {', '.join(thing.name for thing in found)}" if found else "none is"
         raise MeshError(f"object '{name}' of a generator must be an object of objects.csv; {those}")
     return found[0]
-
-
-def find_generators(assets: Path) -> dict[str, Path]:
-    """Return the grasp file of each generator, by name."""
-    return {file.stem: file for file in sorted((assets / "grasps" / "normalised").glob("*.npz"))}

@@ -32,7 +32,6 @@ from grasp_refine_apps.bench.success.assets import (
     EMBEDDED,
     HandCase,
     ObjectCase,
-    find_generators,
     find_hands,
     matching_object,
     read_objects,
@@ -135,7 +134,8 @@ class Axes:
 
     def _of_assets(self, assets: Path) -> Iterator[Case]:
         """Yield the cases of a folder of assets."""
-        objects, files = read_objects(assets), find_generators(assets)
+        objects = read_objects(assets)
+        files = {file.stem: file for file in sorted((assets / "grasps" / "normalised").glob("*.npz"))}
         known = {thing.name: thing for thing in objects}
         _check("on", self.on, known)
         numbers = dict(_number_of(text, files) for text in self.generators)
