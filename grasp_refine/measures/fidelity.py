@@ -8,10 +8,11 @@ from enum import StrEnum
 
 import numpy as np
 
+from grasp_refine.collision.query import Witness
 from grasp_refine.core.array_types import Bool, Float, Shaped
 from grasp_refine.core.se3 import matvec
 from grasp_refine.hands.hand import Hand
-from grasp_refine.measures.geometry import Geometry, worst_over_links
+from grasp_refine.measures.geometry import worst_over_links
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M, link_groups
 from grasp_refine.scene.original import Original
 
@@ -29,7 +30,8 @@ class Likeness(StrEnum):
     """Likeness of a transferred grasp to its original."""
 
     SAME = "same grasp"
-    """All fingers of the original are kept, and the thumb and the finger that presses against it by up to `SAME_M`."""
+    """All fingers of the original are kept, and the thumb and the finger that presses against it by up to `SAME_M`;
+    where its thumb does not touch, all fingers."""
     MOVED = "contacts moved"
     """All are kept, but one of these two moved farther."""
     DROPPED = "fingers dropped"
@@ -56,15 +58,15 @@ class Fidelity:
         hand: Hand,
         links: tuple[str, ...],
         original: Original,
-        geometry: Geometry,
+        witness: Witness,
         T_world_palm: Float[np.ndarray, "N 4 4"],
     ) -> Fidelity:
-        """Measure grasps with a geometry of the L `links` and poses (N, 4, 4) of the palm.
+        """Measure grasps with witness points of the L `links` and poses (N, 4, 4) of the palm.
 
         A finger touches where one of its links is within `CONTACT_DISTANCE_M` of the object; of several, the contact
         nearest to that of the original counts.
         """
-        groups, witness = np.array(link_groups(hand, links)), geometry.witness
+        groups = np.array(link_groups(hand, links))
         touches = witness.valid & (witness.distance <= CONTACT_DISTANCE_M)
         distance = np.full(original.finger.shape, np.nan)
         for k, finger in enumerate(hand.fingers):
@@ -114,8 +116,8 @@ class Fidelity:
     @property
     def likeness(self) -> Shaped[np.ndarray, " N"]:
         """Return the `Likeness` (N,) as text."""
-        kept, pinch = self.original_kept, self.original_pinch_shift
-        opposed = self.original.opposed
+        kept, opposed = self.original_kept, self.original.opposed
+        pinch = np.where(opposed.any(axis=1), self.original_pinch_shift, self.original_shift_most)
         lost = (opposed & np.isnan(self.distance)).any(axis=1)
         touching = (~np.isnan(self.distance)).sum(axis=1)
         other = (

@@ -113,7 +113,7 @@ class MeasuredGrasps:
         if self.original is None:
             return None
         palm = palm_poses(self.hand, self.T_world_root, self.q)
-        return Fidelity.of(self.hand, self.links, self.original, self.geometry, palm)
+        return Fidelity.of(self.hand, self.links, self.original, self.geometry.witness, palm)
 
     @cached_property
     def contact_misses(self) -> PatchMisses | None:

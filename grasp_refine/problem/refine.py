@@ -118,8 +118,8 @@ def _without_targets(
     A grasp without targets counts where it is good enough, or better by `WORTH_MOVING`.
     """
     weak = [
-        np.flatnonzero(~(part.quality[:, 1] >= config.confidence) & part.aimed)
-        if group.scene.original is not None and config.holds
+        np.flatnonzero(~(part.quality[:, 1] >= config.confidence) & ~np.isnan(group.scene.target_link).all(axis=(1, 2)))
+        if group.scene.original is not None and group.scene.target_link is not None and config.holds
         else np.zeros(0, dtype=np.int64)
         for group, part in zip(groups, parts, strict=True)
     ]

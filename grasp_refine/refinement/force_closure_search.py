@@ -21,10 +21,10 @@ from grasp_refine.hands.displacement import Displacement
 from grasp_refine.measures.formulas import room_share
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.gap_closing import close_gaps, release_links
+from grasp_refine.refinement.gap_closing import close_gaps, release_links, release_targets
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
-from grasp_refine.refinement.judging import MISS_SCALE_M, judge, target_miss
+from grasp_refine.refinement.judging import MISS_SCALE_M, judge, original_miss, target_miss
 from grasp_refine.refinement.phases import CLOSE, KEEP, PHASES, STAYS, Phase
 from grasp_refine.refinement.pinches import BEST_SCORE
 from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, limited, minimise
@@ -285,6 +285,8 @@ class Search:
             score, value = score + miss / MISS_SCALE_M, value * room_share(miss)
         if scene.target_link is not None:
             miss = target_miss(scene, known.T_link)
+            if scene.original is not None:
+                miss = np.fmin(miss, original_miss(scene, known.witness, known.frames))
             score, value = score + miss / MISS_SCALE_M, value * room_share(miss)
         return score, pinches, value
 
@@ -313,7 +315,11 @@ class Search:
             on_iteration=with_callback(self.on_iteration, goal, phase.name, rows),
         )
         if not phase.balance:
-            found, goal = release_links(problem, found, solver, seconds=left, progress=self._report)
+            if scene.original is not None:
+                # Contacts of another hand are wishes: where they are out of reach, links touch beside them.
+                found, problem = release_targets(problem, found, solver, seconds=left, progress=self._report)
+            found, problem = release_links(problem, found, solver, seconds=left, progress=self._report)
+            goal = problem.goal
         share = 1.0 / max(len(rows), 1)
         np.add.at(self.iterations, rows, found.iterations)
         np.add.at(self.queries, rows, found.queries + goal.queries)

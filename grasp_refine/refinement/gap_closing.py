@@ -1,4 +1,4 @@
-"""Closing of gaps: flat faces turn onto each other where they can, links touch, and links that cannot are released."""
+"""Closing of gaps: flat faces turn onto each other where they can, links touch; links that cannot are released."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from grasp_refine.core.array_records import choose, take
+from grasp_refine.core.se3 import transform_points
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.solvers.iterate import IterationCallback, Minimum, Point, Progress, Solver, minimise
 from grasp_refine.refinement.solvers.status import Status
@@ -76,9 +77,34 @@ def close_gaps(
     )
 
 
+def release_targets(
+    problem: GraspProblem, found: Minimum, solver: Solver, *, seconds: np.ndarray, progress: Progress | None = None
+) -> tuple[Minimum, GraspProblem]:
+    """Close the gaps of grasps that miss targets without these targets: the links touch where they can.
+
+    Args:
+        problem: Problem of N grasps.
+        found: Its minima; some may have gaps or misses left.
+        solver: Levenberg-Marquardt.
+        seconds: CPU time left for each grasp (N,).
+        progress: As for `minimise`.
+
+    Returns:
+        The minima, and the problem without the released targets.
+    """
+    goal, left = problem.goal, np.flatnonzero(np.isin(found.status, (Status.STALLED, Status.BUDGET)))
+    T_link = problem.evaluate(left, take(found.point, left), None).T_link
+    miss = np.linalg.norm(transform_points(T_link, goal.target_link[left]) - goal.target_object[left], axis=-1)
+    missed = np.zeros_like(goal.touching)
+    missed[left] = miss > RELEASE_GAP_M
+    on_link, on_object = (np.where(missed[..., None], np.nan, each) for each in (goal.target_link, goal.target_object))
+    goal = replace(goal, target_link=on_link, target_object=on_object)
+    return _close_again(problem, found, goal, np.asarray(missed.any(axis=1)), solver, seconds, progress)
+
+
 def release_links(
     problem: GraspProblem, found: Minimum, solver: Solver, *, seconds: np.ndarray, progress: Progress | None = None
-) -> tuple[Minimum, Goal]:
+) -> tuple[Minimum, GraspProblem]:
     """Close the gaps of grasps whose links cannot all touch, without the link that is farthest from touching.
 
     Links of two fingers, or of a finger and the palm, go on touching.
@@ -91,36 +117,48 @@ def release_links(
         progress: As for `minimise`.
 
     Returns:
-        The minima, and the goal without the released links.
+        The minima, and the problem without the released links.
     """
     goal, setup, scene = problem.goal, problem.setup, problem.scene
     left = np.flatnonzero(np.isin(found.status, (Status.STALLED, Status.BUDGET)) & (goal.touching.sum(axis=1) > 2))
     if not len(left):
-        return found, goal
+        return found, problem
     witness = problem.evaluate(left, take(found.point, left), None).witness
     gap = np.abs(contact_gap(witness, setup.anywhere[left], setup.margin + setup.clearance))
     worst, at = gap.argmax(axis=1), np.arange(len(left))
     touching = goal.touching[left]
     touching[at, worst] = False
     freed = (gap[at, worst] > RELEASE_GAP_M) & (num_groups(scene.hand, scene.links, touching) >= 2)
-    if not freed.any():
-        return found, goal
-    rows, all_touching = left[freed], goal.touching.copy()
-    all_touching[rows] = touching[freed]
-    goal = replace(goal, touching=all_touching)
+    released = np.zeros(len(found.status), dtype=bool)
+    released[left[freed]] = True
+    all_touching = goal.touching.copy()
+    all_touching[released] = touching[freed]
+    return _close_again(problem, found, replace(goal, touching=all_touching), released, solver, seconds, progress)
+
+
+def _close_again(
+    problem: GraspProblem,
+    found: Minimum,
+    goal: Goal,
+    rows: np.ndarray,
+    solver: Solver,
+    seconds: np.ndarray,
+    progress: Progress | None,
+) -> tuple[Minimum, GraspProblem]:
+    """Return minima of the grasps in a mask (N,) with another goal, those of all others, and the problem with it."""
+    if not rows.any():
+        return found, problem
     again = problem.with_goal(goal)
-    status = found.status.copy()
-    status[rows] = Status.RUNNING
+    status = np.where(rows, Status.RUNNING, found.status)
     more = close_gaps(
         again, found.point, solver, problem.config.tolerance, status=status, seconds=seconds, progress=progress
     )
-    of = np.isin(np.arange(len(status)), rows)
     after = replace(
         found,
-        point=choose(of, more.point, found.point),
-        loss=np.stack([found.loss[:, 0], np.where(of, more.loss[:, 1], found.loss[:, 1])], axis=1),
+        point=choose(rows, more.point, found.point),
+        loss=np.stack([found.loss[:, 0], np.where(rows, more.loss[:, 1], found.loss[:, 1])], axis=1),
         status=more.status,
         iterations=found.iterations + more.iterations,
         queries=found.queries + more.queries,
     )
-    return after, goal
+    return after, again

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_refine.collision.query import query
+from grasp_refine.collision.query import Witness, query
 from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.forces.equilibrium import mode_residual
@@ -12,7 +12,10 @@ from grasp_refine.forces.quality import quality
 from grasp_refine.forces.squeeze import CONTACTS, contacts, pressure_shortfall
 from grasp_refine.forces.strong_pushes import strong_push_residual
 from grasp_refine.hands.chain import Frames
+from grasp_refine.hands.palm import palm_poses
+from grasp_refine.measures.fidelity import OTHER_M, OTHER_RAD, SAME_M, Fidelity
 from grasp_refine.refinement.pinches import pinch_score
+from grasp_refine.scene.contact_selection import link_groups
 from grasp_refine.scene.demand import Demand
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
@@ -60,3 +63,21 @@ def target_miss(scene: Scene, T_link: Float[np.ndarray, "N L 4 4"]) -> Float[np.
     assert scene.target_link is not None and scene.target_object is not None
     miss = np.linalg.norm(transform_points(T_link, scene.target_link) - scene.target_object, axis=-1)
     return np.nan_to_num(miss).max(axis=1)
+
+
+def original_miss(scene: Scene, witness: Witness, frames: Frames) -> Float[np.ndarray, " N"]:
+    """Return how much farther than `SAME_M` a finger with a target is from its original's contact, metres.
+
+    Of a transferred grasp it matters where a finger touches the object, not with which of its points. It is the largest
+    (N,) over these fingers, 0 without any, and NaN where one does not touch; `OTHER_M` for another approach.
+    """
+    hand, links = scene.hand, scene.links
+    assert scene.original is not None and scene.target_link is not None
+    groups, aimed = np.array(link_groups(hand, links)), ~np.isnan(scene.target_link[..., 0])
+    T_palm = palm_poses(hand, frames.T_world_root, frames.q)
+    found = Fidelity.of(hand, links, scene.original, witness, T_palm)
+    over = [
+        np.where(aimed[:, groups == finger].any(axis=1), np.maximum(found.distance[:, k] - SAME_M, 0.0), 0.0)
+        for k, finger in enumerate(hand.fingers)
+    ]
+    return np.where(found.turn > OTHER_RAD, OTHER_M, np.max(over, axis=0))

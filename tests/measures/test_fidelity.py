@@ -45,7 +45,7 @@ def measured(hand: Hand, of: Original) -> Fidelity:
     T[0, 2, 3] = -0.1
     scene = Scene(hand, ball, T, q)
     none = np.full((1, len(scene.links), 3), np.nan)
-    return Fidelity.of(hand, scene.links, of, measure(HandObject.of(scene), T, q, none, none), T)
+    return Fidelity.of(hand, scene.links, of, measure(HandObject.of(scene), T, q, none, none).witness, T)
 
 
 @pytest.mark.parametrize("degrees", [0.0, 10.0, 25.0])
@@ -68,7 +68,7 @@ def test_a_finger_that_does_not_touch_is_not_kept(jaws: Hand):
     T[0, 2, 3] = -0.1
     scene = Scene(jaws, ball, T, q)
     none = np.full((1, len(scene.links), 3), np.nan)
-    found = Fidelity.of(jaws, scene.links, of, measure(HandObject.of(scene), T, q, none, none), T)
+    found = Fidelity.of(jaws, scene.links, of, measure(HandObject.of(scene), T, q, none, none).witness, T)
     np.testing.assert_allclose(found.original_kept, 0.5)
     assert found.likeness.tolist() == ["another grasp"]
     assert found.texts(jaws.fingers).tolist() == ["f0 by a: kept; f1 by b: does not touch"]
@@ -90,3 +90,13 @@ def test_a_finger_that_does_not_touch_is_not_kept(jaws: Hand):
 def test_words_have_boundaries(distance: list[float], dropped: str, turn: float, word: str):
     of = original([[RADIUS, 0, 0]] * 3, dropped=dropped)
     assert Fidelity(np.array([distance]), of, np.array([turn])).likeness.tolist() == [word]
+
+
+@pytest.mark.parametrize(
+    ("farthest", "word"),
+    [(SAME_M, "same grasp"), (SAME_M + 1e-9, "contacts moved"), (OTHER_M + 1e-9, "another grasp")],
+)
+def test_without_a_thumb_in_contact_all_fingers_count(farthest: float, word: str):
+    of = original([None, [RADIUS, 0, 0], [RADIUS, 0, 0]], opposed=())
+    found = Fidelity(np.array([[np.nan, 0.0, farthest]]), of, np.zeros(1))
+    assert np.isnan(found.original_pinch_shift).all() and found.likeness.tolist() == [word]

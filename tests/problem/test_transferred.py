@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.measures.fidelity import Likeness
 from grasp_refine.problem import refine as module
 from grasp_refine.problem.load import load_problem
-from grasp_refine.problem.refine import Listener, refine_groups
+from grasp_refine.problem.refine import Listener, refine_groups, refine_problem
 from grasp_refine.problem.spec import ProblemSpec
+from grasp_refine.problem.transferred import transferred
 from grasp_refine.refinement.config import Config
 
 
@@ -37,3 +40,12 @@ def test_only_weak_transfers_are_refined_again_without_targets(confidence: float
         assert again.rows.tolist() == np.flatnonzero(weak).tolist()
         assert (outcome["iterations"][weak] > first["iterations"][weak]).all()
         assert (outcome.quality[:, 1] >= first.quality[:, 1]).all()
+
+
+def test_fingers_touch_beside_contacts_that_they_cannot_reach():
+    """LEAP's thumb touches near the contact of Allegro's, with another point of its tip: no gap, no further starts."""
+    problem = load_problem(ProblemSpec(hand="allegro", object="bottle", index=(3,)))
+    refined = refine_problem(transferred(problem, load_hand("leap")), Config(starts=2))
+    outcome = refined.outcome
+    assert outcome.quality[0, 1] >= 0.95 and outcome.gap[0] == "" and outcome.fidelity[0] == Likeness.SAME
+    assert outcome["starts"][0] == 1
