@@ -16,7 +16,7 @@ import numpy as np
 
 from fuzz.mutations import VALUES, changed_value
 from fuzz.npz_files import header
-from fuzz.reader import Reader, plain
+from fuzz.reader import Reader, plain, written
 from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.dexgraspnet import JOINTS
 from grasp_refine.grasps.formats.reading import reading
@@ -60,6 +60,13 @@ def seeds() -> tuple[tuple[str, bytes], ...]:
         "beside": dexonomy | {"scene_path": "../outside/scene.npy"},
         "dexgraspnet": [named, named],
         "leap_s10": np.tile(np.r_[np.zeros(16), 0, 0, 0.5, 0, 0, 0, 1].astype(np.float32), (3, 1)),
+    }
+    seqs = np.tile(np.linspace(0.0, 0.4, 12), (2, 9, 1))
+    seqs[:, 5:, 2] += 0.01 * np.arange(4)
+    contents["tray"] = {
+        "grasp_seqs": seqs,
+        "obj_rotmat": np.tile(np.eye(3), (2, 1, 1)),
+        "obj_scale": np.array([0.1, 0.2]),
     }
     found = [(f"{name}.npy", stored(content)) for name, content in contents.items()]
     return (*found, *((f"{name}.pkl", pickle.dumps(contents[name], protocol=2)) for name in ("bench", "dexgraspnet")))
@@ -108,8 +115,13 @@ def _held(content: bytes) -> Any:
 
 
 def read(path: Path) -> Hashable:
-    """The grasps, of whichever format."""
+    """The grasps of one file, of whichever format."""
     load_content(path)
+    return read_any(path)
+
+
+def read_any(path: Path) -> Hashable:
+    """The grasps of a file or an archive, of whichever format."""
     found = reading(path)
     grasps, n = found.grasps, len(found.grasps)
     assert n and grasps.q.shape == (n, len(grasps.joint_names)) and not np.isinf(grasps.q).any()
@@ -120,4 +132,10 @@ def read(path: Path) -> Hashable:
     return found.format.name, n, len(found.notes), grasps.pregrasp is None
 
 
-READER = Reader("foreign", seeds, read, change, WORDS)
+def prepare(folder: Path) -> None:
+    """The mesh of the object of the trajectories."""
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    written(folder, {"meshdata/tray/coacd/decomposed.obj": corners})
+
+
+READER = Reader("foreign", seeds, read, change, WORDS, prepare)

@@ -60,11 +60,8 @@ class GraspM3(Format):
         T_world_object = np.tile(np.eye(4), (count, 1, 1))
         T_world_object[:, :3, :3] = source.numbers(held["obj_rotmat"], "obj_rotmat", (count, 3, 3))
         T_world_object = source.transforms(T_world_object, "obj_rotmat")
-        scale = np.array([source.scale(value, "obj_scale") for value in source.finite(held["obj_scale"], "obj_scale")])
-        if len(scale) != count:
-            raise source.error(
-                f"obj_scale must have one entry for each of the {count} trajectories; it has {len(scale)}"
-            )
+        factors = source.numbers(held["obj_scale"], "obj_scale", (count,))
+        scale = np.array([source.scale(value, "obj_scale") for value in factors])
         vertices = self._vertices(source, name)
         T_world_object[:, 2, 3] = -(T_world_object[:, 2, :3] @ vertices.T).min(axis=1) * scale
         frames = frames_before_lift(seqs[:, :, :3])

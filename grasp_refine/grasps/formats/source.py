@@ -16,6 +16,8 @@ from grasp_refine.grasps.poses import unit_poses, without_zero_quaternions
 
 MESH_FOLDERS = ("mesh", "meshes", "urdf", "mjcf", "coacd")
 """Folders inside the folder of an object, whose names are not the object's."""
+LARGEST_NUMBER = 1e100
+"""Largest number that counts as finite: squares of larger ones overflow."""
 MAX_NUMBERS = 2**24
 """Most numbers of one array, which take 128 MiB as float64, whatever they take in the file."""
 ROTATION_TOLERANCE = 1e-3
@@ -65,7 +67,7 @@ class Source:
             raise self.error(f"{what} must have shape ({wanted}); it has {array.shape}")
         with np.errstate(all="ignore"):  # what overflows is not finite
             array = array.astype(float)
-        return np.where(np.isfinite(array), array, np.nan)
+        return np.where(np.abs(array) <= LARGEST_NUMBER, array, np.nan)
 
     def scale(self, value: Any, what: str) -> float:
         """Return the factor that takes a mesh to metres; three equal ones are accepted."""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.array_types import Float, Int
+from grasp_refine.core.errors import quote_value
 from grasp_refine.core.se3 import exp_so3, inverse, pose_from_transform, transform, transform_from_pose
 from grasp_refine.grasps.formats.columns import column_names, load_columns
 from grasp_refine.grasps.formats.dexgraspnet import rotation_from_angles
@@ -91,7 +92,7 @@ class _Mapping:
         for key, value in held.items():
             kind = KEYS[key]
             if kind is not None and not isinstance(value, (int, float) if kind is float else kind):
-                raise source.error(f"{key} must be a {kind.__name__}, got {value!r}")
+                raise source.error(f"{key} must be a {kind.__name__}, got {quote_value(value)}")
         self.table = self._table()
         joints, listed = held["joints"], held.get("joint_column")
         if isinstance(joints, list) and all(isinstance(name, str) for name in joints):
@@ -110,7 +111,7 @@ class _Mapping:
         names = [name[0] if isinstance(name, tuple) else name for name in wanted if name is not None]
         wrong = [name for name in names if not isinstance(name, str)]
         if wrong:
-            raise source.error(f"columns are named by texts; got {wrong[0]!r}")
+            raise source.error(f"columns are named by texts; got {quote_value(wrong[0])}")
         names = list(dict.fromkeys(names))
         self.columns = load_columns(self.table, names)
         lacking = [name for name in names if name not in self.columns]
@@ -137,7 +138,7 @@ class _Mapping:
         """Return one of some texts."""
         value = self.held.get(key, default)
         if value not in choices:
-            raise self.source.error(f"{key} must be one of {', '.join(choices)}, got {value!r}")
+            raise self.source.error(f"{key} must be one of {', '.join(choices)}, got {quote_value(value)}")
         return str(value)
 
     def column(self, key: str) -> np.ndarray:
@@ -155,7 +156,7 @@ class _Mapping:
             if at is not None and found.shape[1] != count:
                 raise self.source.error(f"column {column} has {found.shape[1]} entries, and {count} joints are named")
             parts.append(self.source.numbers(found if at is None else found[:, [at]], f"column {column}"))
-        joined = np.concatenate(parts, axis=1)
+        joined = np.concatenate(parts, axis=1) if parts else np.zeros((0, 0))
         if joined.shape[1] != count:
             raise self.source.error(f"{names} have {joined.shape[1]} numbers per row; {count} are needed")
         return joined

@@ -100,6 +100,7 @@ def test_a_hand_that_lifts_nothing_has_its_grasp_at_the_end():
         ({"grasp_seqs": np.zeros((2, 5, 28))}, "22"),
         ({"obj_rotmat": np.zeros((2, 3, 3))}, "obj_rotmat"),
         ({"obj_scale": np.array([0.1])}, "obj_scale"),
+        ({"obj_scale": 0.1}, "obj_scale"),
         ({"obj_scale": np.array([0.1, -1.0])}, "obj_scale"),
         ({"grasp_seqs": np.zeros((2, 12))}, "grasp_seqs"),
     ],

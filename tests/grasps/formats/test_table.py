@@ -221,6 +221,7 @@ def test_a_lerobot_data_set_gives_the_row_before_the_lift_of_each_episode(versio
         ({"speed": 3}, ["speed", "length_unit"]),
         ({"position": ["x", "y", "z"]}, ["x, y, z", "p0"]),
         ({"notation": "wxzy"}, ["wxzy", "xyzw"]),
+        ({"position": []}, ["0", "3"]),
         ({"rotation": ["r0", "r1", "r2"]}, ["r0", "4"]),
         ({"length_unit": "inch"}, ["inch", "mm"]),
         ({"frame": "last"}, ["episode"]),
