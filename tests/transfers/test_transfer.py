@@ -11,13 +11,14 @@ import trimesh
 import grasp_refine as gr
 from grasp_refine.core.se3 import distances, exp_so3, matvec, transform
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.measures.fidelity import Likeness
+from grasp_refine.measures.fidelity import SAME_M, Likeness
 from grasp_refine.objects.object import load_object
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.problem import Problem
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from grasp_refine.transfers.hand_frame import HandFrame
 from grasp_refine.transfers.placement import Pads
 from grasp_refine.transfers.source_grasps import source_grasps
 from grasp_refine.transfers.transfer import Transferred, copied_grasps, transfer_grasps
@@ -41,8 +42,6 @@ def transferred(scene: Scene, hand: Hand) -> Transferred:
 
 def pad_misses(found: Transferred, hand: Hand) -> np.ndarray:
     """Distances (N, k) of the fingers' surfaces from the contacts that they take over."""
-    from grasp_refine.transfers.hand_frame import HandFrame
-
     points = Pads.of(hand).points(hand, found.T, found.q)
     order = [HandFrame.of(hand).fingers.index(finger) for finger in hand.fingers]
     return np.linalg.norm(points[:, order] - found.original.point[:, :, None], axis=-1).min(axis=2)
@@ -139,3 +138,22 @@ def test_a_hand_on_an_arm_is_refused(shadow: Problem):
     mounted = gr.mount(gr.load_arm("ur5e"), load_hand("allegro"))
     with pytest.raises(gr.GraspRefineError, match="allegro"):
         gr.transfer(shadow, to=mounted)
+
+
+def test_there_and_back_the_fingers_are_the_same_and_touch_where_they_did(shadow: Problem, allegro: Hand):
+    """Shadow to Allegro and back: the thumb stays the thumb, fingers keep their order, most contacts stay."""
+    first, hand = shadow.groups[0].scene, load_hand("shadow_palm")
+    there = transferred(first, allegro)
+    back = transferred(Scene(allegro, first.object, there.T, there.q), hand)
+    fingers, away = list(HandFrame.of(hand).fingers), []
+    start, end = (source_grasps(scene).point for scene in (first, Scene(hand, first.object, back.T, back.q)))
+    for row in range(len(start)):
+        through = dict(zip(allegro.fingers, there.original.finger[row].tolist(), strict=True))
+        mine = dict(zip(hand.fingers, back.original.finger[row].tolist(), strict=True))
+        came = [through[mine[finger]] if mine[finger] else "" for finger in fingers]
+        places = [fingers.index(finger) for finger in came if finger]
+        assert places == sorted(places) and came[0] in ("", fingers[0])
+        same = [k for k, finger in enumerate(came) if finger == fingers[k]]
+        assert len(same) >= 3
+        away.append(np.linalg.norm(end[row, same] - start[row, same], axis=-1))
+    assert np.nanmedian(np.concatenate(away)) < SAME_M
