@@ -90,6 +90,7 @@ def depth_in_metres(values: np.ndarray, name: object) -> Float[np.ndarray, "*v H
     Raises:
         MeshError: they are of 8 bits, or no pictures.
     """
+    values = _without_channel(values)
     if values.size > MAX_PIXELS:
         raise MeshError(f"{name}: has {values.size} pixels; at most {MAX_PIXELS} are read: cut the object out")
     if values.ndim not in (2, 3) or not values.size or values.dtype.kind not in "uif" or values.dtype.itemsize < 2:
@@ -108,6 +109,7 @@ def as_mask(value: Any, shape: tuple[int, ...], name: str) -> Bool[np.ndarray, "
         MeshError: it has another shape, or no pixel of the object.
     """
     mask = read_picture(_existing(value, "mask")) if isinstance(value, str | Path) else np.asarray(value)
+    mask = _without_channel(mask)
     if mask.shape != shape:
         raise MeshError(f"{name}: its mask has shape {mask.shape}, the depth has {shape}")
     if not (mask := mask != 0).any():
@@ -115,11 +117,17 @@ def as_mask(value: Any, shape: tuple[int, ...], name: str) -> Bool[np.ndarray, "
     return mask
 
 
+def _without_channel(values: np.ndarray) -> np.ndarray:
+    """Return pictures without an axis of their one channel, (H, W, 1)."""
+    return values[..., 0] if values.ndim > 2 and values.shape[-1] == 1 else values
+
+
 def as_intrinsics(value: Any) -> Float[np.ndarray, " 4"]:
     """Return fx, fy, cx, cy in pixels, from a text of the four, a file, a matrix (3, 3), or an object with these.
 
-    Files are JSON or YAML with fx, fy and cx, cy (or ppx, ppy), or with the matrix under K, k, camera_matrix or
-    intrinsic_matrix (of 9 numbers, by rows; by columns, as Open3D writes it); or `.npy` or text with 4 or 9 numbers.
+    Files are JSON, YAML or `.mat` with fx, fy and cx, cy (or ppx, ppy; or _fx and so on, as autolab_core writes them),
+    or with the matrix under K, k, cam_K, camera_matrix or intrinsic_matrix (of 9 numbers, by rows; by columns, as
+    Open3D writes it); or `.npy` or text with 4 or 9 numbers.
 
     Raises:
         GraspRefineError: these are no intrinsics.
@@ -238,8 +246,10 @@ def _numbers(path: Path) -> Any:
     if path.stat().st_size > MAX_TEXT_BYTES:
         raise GraspRefineError(f"{path}: too large for a few numbers; at most {MAX_TEXT_BYTES} bytes are read")
     try:
+        if suffix == ".mat":
+            return _matlab_arrays(path)
         text = path.read_text(encoding="utf-8")
-        if suffix == ".json":
+        if suffix == ".json" or text.lstrip().startswith("{"):
             return json.loads(text)
         if suffix in (".yaml", ".yml"):
             return yaml.safe_load(text)
@@ -248,12 +258,30 @@ def _numbers(path: Path) -> Any:
         raise GraspRefineError(f"{path}: cannot be read as numbers ({' '.join(str(error).split())[:120]})") from None
 
 
+def _matlab_arrays(path: Path) -> dict[str, Any]:
+    """Return the arrays of a `.mat` file, such as the `meta.mat` of YCB-Video and GraspNet-1Billion.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    from scipy.io import loadmat
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about damage
+            return loadmat(path)
+    except Exception as error:
+        # It has errors of many kinds.
+        raise ValueError(error) from None
+
+
 def _of_mapping(found: Mapping[Any, Any]) -> Any:
     """Return the intrinsics in a mapping: four numbers, or the matrix."""
+    found = {str(name).removeprefix("_"): value for name, value in found.items()}
     for names in (("fx", "fy", "cx", "cy"), ("fx", "fy", "ppx", "ppy")):
         if all(name in found for name in names):
             return [found[name] for name in names]
-    for name in ("K", "k", "camera_matrix", "intrinsic_matrix", "intrinsics"):
+    for name in ("K", "k", "cam_K", "camera_matrix", "intrinsic_matrix", "intrinsics"):
         inner = found.get(name)
         if isinstance(inner, Mapping):
             return inner["data"] if "data" in inner else _of_mapping(inner)

@@ -8,7 +8,7 @@ from grasp_refine.core.array_types import Bool, Float, Int
 from grasp_refine.core.errors import MeshError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.geometry.mesh import MAX_DIAGONAL
-from grasp_refine.scans.scan import Scan
+from grasp_refine.scans.scan import Plane, Scan
 
 MIN_POINTS = 30
 """Fewest points of a scan."""
@@ -49,6 +49,7 @@ def scan_of_points(
     *,
     noise_m: float | None = None,
     masked: bool = False,
+    table: Plane | None = None,
 ) -> tuple[Scan, tuple[str, ...]]:
     """Return the scan of points, and notes for the user.
 
@@ -63,6 +64,7 @@ def scan_of_points(
         name: Name of the object, for messages.
         noise_m: Standard deviation along the lines of sight, metres; None: measured, as the distance from local planes.
         masked: Whether the points are known to be the object's: it may be seen as a plane, as a box from the front.
+        table: Plane that was seen around the object, on which it stands; None: it was not seen.
 
     Raises:
         MeshError: there are too few points, they lie in a plane and are not masked, they are several objects, or
@@ -96,7 +98,10 @@ def scan_of_points(
     flat = _flatness_text(points, noise)
     if flat and not masked:
         raise MeshError(f"{name}: {flat}; is it the table? Mask the object, or add a view of another side")
-    if flat:
+    if table is not None:
+        height = float(((points - table[0]) @ table[1]).max())
+        notes.append(f"taken to stand on the plane around it, {height * 1e3:.3g} mm below its highest point")
+    elif flat:
         notes.append(f"{flat}: how thick the object is, is a guess; add a view of another side")
     planes = local_planes(points)
     if normals is None:
@@ -110,7 +115,7 @@ def scan_of_points(
         normals = np.where((facing < 0)[:, None], -normals, normals)
     if len(origins) and not masked and (share := _table_share(points, normals, noise)):
         notes.append(f"{share:.0%} of its points are in a plane below the others; if it is the table, mask the object")
-    return Scan(points, normals, np.asarray(origins, dtype=np.float64), view, noise), tuple(notes)
+    return Scan(points, normals, np.asarray(origins, dtype=np.float64), view, noise, table), tuple(notes)
 
 
 def thinned(

@@ -15,8 +15,7 @@ from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.pieces import Piece, hull
 from grasp_refine.scans.candidates import KINDS, Candidate, filled, pieces_of
 from grasp_refine.scans.hypothesis import Hypothesis
-from grasp_refine.scans.scan import Scan
-from grasp_refine.scans.space import Plane
+from grasp_refine.scans.scan import Plane, Scan
 from grasp_refine.scans.view_frame import ViewFrame
 
 PRIORS = {
@@ -31,6 +30,10 @@ PRIORS = {
 }
 """Probability of each kind before the scan is looked at."""
 
+HOVERING = 0.05
+"""Mean height above its table of a solid that stands on it, over the mean extent behind the seen points: solids that
+end above the table are improbable."""
+
 
 def complete(scan: Scan, *, count: int = 8, seed: int = 0, table: Plane | None = None) -> tuple[Hypothesis, ...]:
     """Return at most `count` solids that the object of a scan may be; their weights sum to 1.
@@ -44,7 +47,8 @@ def complete(scan: Scan, *, count: int = 8, seed: int = 0, table: Plane | None =
         scan: points on the seen surface, with outward normals.
         count: most hypotheses.
         seed: number that the thinning and the shifts are drawn by.
-        table: point (3,) and unit normal (3,) of the plane on which the object stands; nothing lies below it.
+        table: point (3,) and unit normal (3,) of the plane on which the object stands: the object reaches it, and
+            nothing lies below. None: that of the scan.
 
     Raises:
         MeshError: `count` is below 1; there are too few points, they are not finite, or they lie on a line, or in a
@@ -52,6 +56,7 @@ def complete(scan: Scan, *, count: int = 8, seed: int = 0, table: Plane | None =
     """
     if count < 1:
         raise MeshError(f"the number of completions must be at least 1, got {count}")
+    table = table or scan.table
     frame = ViewFrame.of(scan, seed, table)
     candidates = [one for kind in KINDS for one in kind(frame)]
     chosen = _representatives(frame, candidates, count)
@@ -76,9 +81,13 @@ def _representatives(frame: ViewFrame, candidates: list[Candidate], count: int) 
     """
     kinds = [candidate.kind for candidate in candidates]
     log_weight = np.array([one.log_weight + np.log(PRIORS[one.kind] / kinds.count(one.kind)) for one in candidates])
+    masks = np.stack([filled(frame, candidate, frame.possible) for candidate in candidates])
+    if frame.height is not None:
+        lowest = np.where(masks, frame.height[frame.possible], np.inf).min(axis=1, initial=np.inf)
+        log_weight -= np.clip(lowest - frame.grid.size, 0.0, frame.excess) / (HOVERING * frame.excess)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
-    solids = np.stack([filled(frame, candidate, frame.possible) for candidate in candidates]).astype(np.float32)
+    solids = masks.astype(np.float32)
     common, volume = solids @ solids.T, solids.sum(axis=1)
     apart = volume[:, None] + volume - 2.0 * common
     chosen: list[int] = []

@@ -37,6 +37,7 @@ from grasp_refine.scans.depth_camera import Intrinsics, seen_in_depth
 from grasp_refine.scans.pcd import read_pcd
 from grasp_refine.scans.ply import is_cloud, read_ply
 from grasp_refine.scans.scan import Scan
+from grasp_refine.scans.support import support_plane
 
 if TYPE_CHECKING:
     import trimesh
@@ -168,6 +169,7 @@ def _scan_of_pictures(
             f"{name}: integers are millimetres already: leave out `unit='{unit}'`; of other steps give `scale`, 0.25 "
             "where one is a quarter of a millimetre"
         )
+    shape = depths.shape
     with np.errstate(over="ignore", invalid="ignore"):
         depths = depths.reshape(-1, *depths.shape[-2:]) * scale * UNITS[unit or "m"]
     if sensors.seen_from is not None:
@@ -186,7 +188,7 @@ def _scan_of_pictures(
         )
     fx, fy, cx, cy = as_intrinsics(intrinsics)
     lens = Intrinsics(fx, fy, cx, cy, depths.shape[2], depths.shape[1])
-    masks = None if mask is None else as_mask(mask, values["depth"].shape, name).reshape(depths.shape)
+    masks = None if mask is None else as_mask(mask, shape, name).reshape(depths.shape)
     poses = np.eye(4)[None] if camera is None else as_poses(camera)
     if len(poses) != len(depths):
         raise GraspRefineError(f"{name}: has {len(depths)} pictures, `camera` has {len(poses)} poses")
@@ -195,7 +197,10 @@ def _scan_of_pictures(
         raise MeshError(f"{name}: empty: no pixel{' of the mask' if masks is not None else ''} has a depth")
     check_point_count(len(points), name)
     _check_size(points, UNITS[unit or "m"], unit, name)
-    return scan_of_points(points, None, poses[:, :3, 3], view, name, noise_m=noise, masked=masks is not None)
+    around = None if masks is None else support_plane(list(depths), list(masks), lens, list(poses), points, noise)
+    return scan_of_points(
+        points, None, poses[:, :3, 3], view, name, noise_m=noise, masked=masks is not None, table=around
+    )
 
 
 def _check_size(points: Float[np.ndarray, "P 3"], factor: float, unit: Unit | None, name: str) -> None:

@@ -13,6 +13,9 @@ from grasp_refine.core.array_types import Bool, Float, Int
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
+Plane = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
+"""A point of a plane, metres, and its unit normal."""
+
 NEAR_M = 2e-3
 """Least distance in metres from a point of a scan within which surface counts as seen."""
 
@@ -31,6 +34,8 @@ class Scan:
     """Index of the sensor in `origins` that saw each point; 0 without sensors."""
     noise_m: float
     """Standard deviation of the points along the lines of sight, metres."""
+    table: Plane | None = None
+    """Plane on which the object stands, that was seen around it; its normal points to the object. None: not seen."""
 
     def seen(self, points: Float[np.ndarray, "*N 3"]) -> Bool[np.ndarray, "*N"]:
         """Return True for points of a surface (..., 3), object frame, that lie where the scan has points.

@@ -9,13 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from grasp_refine.core.array_types import Float
-from grasp_refine.scans.scan import Scan
+from grasp_refine.scans.scan import Plane, Scan
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
-
-Plane = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
-"""A point of a plane, metres, and its unit normal."""
 
 REACH = 1.5
 """Largest angle from a line of sight to the nearest seen point, in distances to that point's fourth neighbour."""

@@ -9,8 +9,8 @@ import numpy as np
 
 from grasp_refine.core.errors import MeshError
 from grasp_refine.scans.isometries import images_of
-from grasp_refine.scans.scan import Scan
-from grasp_refine.scans.space import Plane, Space
+from grasp_refine.scans.scan import Plane, Scan
+from grasp_refine.scans.space import Space
 from grasp_refine.scans.voxels import Grid, indicator, outermost
 
 MIN_POINTS = 20
@@ -71,6 +71,8 @@ class ViewFrame:
     """Cells that the solids are made of."""
     free: np.ndarray
     """Depth (cells,) of the cells in free space; inf at the border of the grid."""
+    height: np.ndarray | None
+    """Height (cells,) of the cells above the table, metres; None: there is none."""
     excess: float
     """Mean extent behind the seen points, metres."""
     rng: np.random.Generator
@@ -95,7 +97,8 @@ class ViewFrame:
         grid = Grid.around(low - pad, high + pad, CELLS)
         space = Space(scan, table)
         free = np.full(grid.shape, np.inf)
-        depth = space.free_depth(grid.centers @ R.T + t).reshape(grid.shape)
+        centers = grid.centers @ R.T + t
+        depth = space.free_depth(centers).reshape(grid.shape)
         free[1:-1, 1:-1, 1:-1] = depth[1:-1, 1:-1, 1:-1]
         sample = rng.permutation(len(points))[:200]
         return cls(
@@ -107,6 +110,7 @@ class ViewFrame:
             max(space.margin, grid.size),
             grid,
             free.ravel(),
+            None if table is None else (centers - table[0]) @ table[1],
             excess,
             rng,
         )

@@ -155,6 +155,23 @@ def test_a_single_face_is_completed_to_boxes_of_several_depths(noise_m: float) -
     assert min(ends) < 0.0 and 0.015 < max(ends) < 0.025
 
 
+def test_a_table_is_where_the_object_ends() -> None:
+    """A scan knows its table, or it is given; without one, the far side may lie anywhere."""
+    mesh = SHAPES["box"]()
+    scan = seen(mesh, (0.1, 0, 1), noise_m=NOISE_M)
+    table = np.array([0.1, 0.0, -0.025]), np.array([0.0, 0.0, 1.0])
+    weights, lowest, alike = {}, {}, {}
+    for name, found in (("open", complete(scan)), ("table", complete(replace(scan, table=table)))):
+        weights[name] = np.array([one.weight for one in found])
+        lowest[name] = np.array([min(piece.vertices[:, 2].min() for piece in one.pieces) for one in found])
+        alike[name] = weights[name] @ [overlap(one, mesh) for one in found]
+    assert weights["table"][np.abs(lowest["table"] + 0.025) < 0.004].sum() > 0.9
+    assert weights["open"][np.abs(lowest["open"] + 0.025) < 0.004].sum() < 0.5
+    assert alike["table"] > alike["open"] + 0.05
+    given = complete(scan, table=table)
+    assert [one.weight for one in given] == weights["table"].tolist()
+
+
 def test_scans_without_a_sensor_are_completed() -> None:
     scan = seen(SHAPES["sphere"](), CORNER, noise_m=NOISE_M)
     blind = replace(scan, origins=np.zeros((0, 3)), view=np.zeros(len(scan.points), int))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from scipy.io import savemat
 
 from grasp_refine.core.errors import GraspRefineError, MeshError
 from grasp_refine.core.se3 import exp_se3, inverse
@@ -191,6 +192,9 @@ def test_masks_cut_out_the_object(pictures, tmp_path):
     Image.fromarray(((depths[0] > 0) * 255).astype(np.uint8)).save(mask)
     scan, _ = read_scan(path, Sensors(intrinsics=LENS, camera=poses[0], mask=str(mask)))
     assert np.abs(from_middle(scan) - RADIUS_M).max() < 2e-3
+    np.savez(tmp_path / "channel.npz", depth=table[..., None], mask=depths[0][..., None] > 0)
+    again, _ = read_scan(tmp_path / "channel.npz", Sensors(intrinsics=LENS, camera=poses[0]))
+    np.testing.assert_array_equal(again.points, scan.points)
     with refused(MeshError, "shape"):
         read_scan(path, Sensors(intrinsics=LENS, mask=np.ones((3, 3))))
     with refused(MeshError, "mask", "empty"):
@@ -225,17 +229,30 @@ def test_intrinsics_are_read_as_cameras_write_them(tmp_path):
         "calibration.yaml": f"camera_matrix:\n  rows: 3\n  cols: 3\n  data: {K}\n",
         "matrix.txt": f"{fx} 0 {cx}\n0 {fy} {cy}\n0 0 1\n",
         "four.txt": f"{fx} {fy} {cx} {cy}\n",
+        "autolab.intr": json.dumps({"_fx": fx, "_fy": fy, "_cx": cx, "_cy": cy, "_frame": "overhead"}),
+        "bop.json": json.dumps({"cam_K": K, "depth_scale": 1.0}),
     }
     for name, content in files.items():
         (tmp_path / name).write_text(content)
         np.testing.assert_array_equal(as_intrinsics(tmp_path / name), [fx, fy, cx, cy], err_msg=name)
+    savemat(tmp_path / "meta.mat", {"intrinsic_matrix": np.reshape(K, (3, 3)), "factor_depth": 1000})
+    np.testing.assert_array_equal(as_intrinsics(tmp_path / "meta.mat"), [fx, fy, cx, cy])
+    (tmp_path / "cut.mat").write_bytes((tmp_path / "meta.mat").read_bytes()[:200])
     for value in (f"{fx},{fy},{cx},{cy}", np.array(K), Intrinsics(fx, fy, cx, cy, 640, 480)):
         np.testing.assert_array_equal(as_intrinsics(value), [fx, fy, cx, cy])
     (tmp_path / "odd.yaml").write_text("k: &a [*a]\n")
     # A billion numbers by aliases.
     lists = "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}' if k else '1'] * 10)}]\n" for k in range(9))
     (tmp_path / "bomb.yaml").write_text(f"{lists}k: *a8\n")
-    for wrong in ("600,600,320", "none.json", tmp_path / "odd.yaml", tmp_path / "bomb.yaml", [1, 2], "0,600,320,240"):
+    for wrong in (
+        "600,600,320",
+        "none.json",
+        tmp_path / "odd.yaml",
+        tmp_path / "bomb.yaml",
+        tmp_path / "cut.mat",
+        [1, 2],
+        "0,600,320,240",
+    ):
         with refused(GraspRefineError, "intrinsics"):
             as_intrinsics(wrong)
 
