@@ -41,7 +41,9 @@ class Verdict:
         return _tile(numbers, f"{self.title}: {counts} of {whole(self.count)}", self.effect)
 
 
-def headline_tiles(verdicts: Sequence[Verdict], distributions: Mapping[str, Histogram]) -> list[Tile]:
+def headline_tiles(
+    verdicts: Sequence[Verdict], distributions: Mapping[str, Histogram], medians: Mapping[str, float]
+) -> list[Tile]:
     """Return the tile of the largest change, then those of the other verdicts.
 
     Changes of verdicts and of measures are compared by Cliff's delta (1993): the probability that a refined grasp is
@@ -51,11 +53,12 @@ def headline_tiles(verdicts: Sequence[Verdict], distributions: Mapping[str, Hist
     Args:
         verdicts: The verdicts; of one side alone, the first one leads.
         distributions: Name of each entry of a measure -> its distribution, as `Measure.entries`.
+        medians: Likewise, name -> median.
     """
     if any(len(each.passed) == 1 for each in verdicts):
         return [each.tile | ({"tone": "lead"} if k == 0 else {}) for k, each in enumerate(verdicts)]
     changes: list[tuple[float, Verdict | Measure]] = [(each.effect, each) for each in verdicts if each.effect]
-    changes += [(effect, each) for each in COMPARED if (effect := _effect(each, distributions))]
+    changes += [(effect, each) for each in COMPARED if (effect := _effect(each, distributions, medians))]
     if not changes:
         return [_tile("no change", "in any verdict, nor in the median of any measure", 0.0, lead=True)] + [
             each.tile for each in verdicts
@@ -64,8 +67,8 @@ def headline_tiles(verdicts: Sequence[Verdict], distributions: Mapping[str, Hist
     if isinstance(most, Verdict):
         lead = most.tile
     else:
-        medians = (most.text(middle) for middle in _medians(most, distributions))
-        number = f"{' → '.join(medians)} {most.unit.symbol}".rstrip()
+        middles = (most.text(medians[most.entries[side]]) for side in SIDES)
+        number = f"{' → '.join(middles)} {most.unit.symbol}".rstrip()
         lead = _tile(number, f"{most.title}, median", effect)
     lead = {**lead, "words": f"{lead['words']}; what changed most", "tone": f"{lead['tone']} lead"}
     return [lead, *(each.tile for each in verdicts if each is not most)]
@@ -76,18 +79,14 @@ def _tile(number: str, words: str, effect: float, *, lead: bool = False) -> Tile
     return {"number": number, "words": words, "tone": "lead" if lead else tone}
 
 
-def _medians(measure: Measure, distributions: Mapping[str, Histogram]) -> list[float]:
-    return [distributions[measure.entries[side]].quantile(0.5) for side in SIDES]
-
-
-def _effect(measure: Measure, distributions: Mapping[str, Histogram]) -> float:
+def _effect(measure: Measure, distributions: Mapping[str, Histogram], medians: Mapping[str, float]) -> float:
     """Return Cliff's delta of a measure, by the bins of its distributions.
 
     It is 0 where the medians are as good as equal, or there are none.
     """
     if measure.entries["before"] not in distributions:
         return 0.0
-    before, after = _medians(measure, distributions)
+    before, after = (medians[measure.entries[side]] for side in SIDES)
     if not abs(after - before) > measure.unit.negligible:
         return 0.0
     old, new = (distributions[measure.entries[side]].shares(1) for side in SIDES)

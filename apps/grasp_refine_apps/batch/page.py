@@ -99,8 +99,9 @@ def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[A
     if statistics.held is not None:
         verdicts.insert(0, Verdict("held in simulation", statistics.held, tally.simulated))
     refined = "grasps refined" if tally.usable == tally.count else f"of {words.grasps(tally.count)} were refined"
+    medians = {name: found.quantile(0.5) for name, found in statistics.distributions.items()}
     tiles = [
-        *headline_tiles(verdicts, statistics.distributions),
+        *headline_tiles(verdicts, statistics.distributions, medians),
         {"number": whole(tally.usable), "words": refined, "tone": ""},
     ]
     if failed:

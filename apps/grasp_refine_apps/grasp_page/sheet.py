@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import nan
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from grasp_refine.objects.object import Object
 from grasp_refine.problem.problem import Problem
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.results.changed import Changed
+from grasp_refine.results.fidelity_lines import fidelity_lines
 from grasp_refine.results.verdict import BAR, should_hold
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.validate import Validated
@@ -82,7 +84,8 @@ class Sheet:
         """Return the sheet of a refinement, whose results are in files: name of the object -> path."""
         outcome, simulated, problem = refined.outcome, refined.simulated, refined.problem
         names = outcome.object.tolist()
-        words = map("{}, {}".format, refined.status, refined.change)
+        changed = np.where(outcome.fidelity == "", outcome.change, outcome.fidelity)
+        lines = fidelity_lines(outcome) or Changed.of(outcome, refined.config.confidence).lines()
         poses = (outcome.hand_pose_before, outcome.q_before), (outcome.hand_pose, outcome.q)
         return cls(
             "",
@@ -93,8 +96,10 @@ class Sheet:
             {one.name: outcome[one.name].T for one in COMPARED if one.name in outcome.measures},
             None if simulated is None else simulated.held.T,
             None if simulated is None else simulated.after,
-            tuple(text.removesuffix(", ") for text in words),
-            tuple(line.plain for line in Changed.of(outcome, refined.config.confidence).lines()),
+            tuple(
+                f"{status}, {change}".removesuffix(", ") for status, change in zip(refined.status, changed, strict=True)
+            ),
+            tuple(line.plain.strip() for line in lines),
         )
 
     @classmethod
@@ -124,12 +129,14 @@ class Sheet:
         verdicts = [Verdict(f"quality {BAR} (an estimate)", good, len(self))]
         if self.held is not None:
             verdicts.insert(0, Verdict("held in simulation", tuple(self.held.sum(axis=1).tolist()), len(self)))
-        distributions = {}
+        distributions, medians = dict[str, Histogram](), dict[str, float]()
         for measure in COMPARED:
             for side, values in zip(SIDES, self.measures.get(measure.name, ()), strict=False):
-                distributions[measure.entries[side]] = Histogram.of(measure.unit)
-                distributions[measure.entries[side]].add(values)
-        return headline_tiles(verdicts, distributions)
+                entry, known = measure.entries[side], values[np.isfinite(values)]
+                distributions[entry] = Histogram.of(measure.unit)
+                distributions[entry].add(known)
+                medians[entry] = float(np.median(known)) if len(known) else nan
+        return headline_tiles(verdicts, distributions, medians)
 
     def pictures(self, folder: Path, look: tuple[str, ...]) -> Iterator[Picture]:
         """Draw the grasps, of more than `MAX_CARDS` the worst.

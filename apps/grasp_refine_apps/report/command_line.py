@@ -64,8 +64,8 @@ def words(options: Any, group: str = "") -> Iterator[str]:
 
 
 def view_options(inputs: ProblemSpec) -> tuple[str, ...]:
-    """Return the options of `refine-grasp view` to show a result, whose scale is the factor from the mesh to metres."""
-    other = ("grasps", "targets", "scale", "unit", "format", "object_name", "index", "other_object")
+    """Return the options of `refine-grasp view` to show a result, transferred and scaled already."""
+    other = ("grasps", "targets", "scale", "unit", "format", "object_name", "index", "other_object", "transfer_from")
     return tuple(words(replace(inputs, **{name: getattr(ProblemSpec, name) for name in other})))
 
 

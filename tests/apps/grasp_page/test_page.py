@@ -16,6 +16,7 @@ from grasp_refine_apps.commands.view import View
 from grasp_refine_apps.grasp_page import sheet
 
 EXAMPLE = str(resource_dir("robots") / "allegro" / "example_rounded_box.npz")
+OTHER = ("--from", "allegro", "--hand", "leap")
 
 
 def cards(path: str) -> list[str]:
@@ -44,6 +45,11 @@ def test_pages_of_a_refinement_and_of_validations(workplace: Path, monkeypatch: 
     assert main(["validate", EXAMPLE, *grasps, "--no-simulate", "--html", "one.html"]) == 0
     assert [card.count("<img") for card in cards("one.html")] == [1, 1]
     assert [command[-1] for command in commands("one.html")] == ["1", "3"]
+
+    assert main(["transfer", EXAMPLE, "--index", "3", *OTHER, "--geometry-only", "--html", "other.html"]) == 0
+    ((*_, file, row, number, hand, name),) = [command[:7] for command in commands("other.html")]
+    assert (row, number, hand, name) == ("--index", "0", "--hand", "leap") and Path(file).is_file()
+    assert "--transfer-from" not in Path("other.html").read_text().partition("With <code>")[0], "it is of LEAP now"
 
     monkeypatch.setattr(sheet, "MAX_CARDS", 1)
     both = ("validate", EXAMPLE, str(result), "--no-simulate", "--html", "two.html")
