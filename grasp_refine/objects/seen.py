@@ -15,7 +15,7 @@ from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import Holes, is_closed
 from grasp_refine.geometry.units import Unit
 from grasp_refine.scans.camera_files import as_intrinsics, as_poses, as_positions
-from grasp_refine.scans.completion import complete
+from grasp_refine.scans.completion import above_table, complete
 from grasp_refine.scans.given import given_completions
 from grasp_refine.scans.hypothesis import Hypothesis
 from grasp_refine.scans.reading import Sensors, cloud_of_arrays, read_scan, scan_of_cloud, scan_of_mesh
@@ -74,7 +74,8 @@ class Completing:
         if self.completions is None:
             return complete(scan, count=self.hypotheses, seed=seed, table=self.plane), ()
         folder = Path(self.completions)
-        return given_completions(folder, scale=scale, holes=holes, decomposition=decomposition, cache=cache)
+        given = given_completions(folder, scale=scale, holes=holes, decomposition=decomposition, cache=cache)
+        return above_table(given[0], self.plane or scan.table), given[1]
 
 
 def seen_object(

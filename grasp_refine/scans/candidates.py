@@ -167,17 +167,24 @@ def _extruded(frame: ViewFrame) -> Iterator[Candidate]:
     back = frame.points[:, 2].max()
     # Even quantiles of the exponential distribution with mean 1.
     for excess in frame.excess * -np.log1p(-(np.arange(KEPT) + 0.5) / KEPT):
-        moved = np.column_stack([frame.outer[:, :2], np.full(len(frame.outer), back + excess)])
+        moved = frame.above(np.column_stack([frame.outer[:, :2], np.full(len(frame.outer), back + excess)]))
         log_weight = -EVIDENCE * float(frame.misfit(moved).mean())
         points = np.concatenate([frame.outer, moved])
         yield Candidate("extruded", points, NO_SYMMETRY, log_weight, smooth=True)
+
+
+def _standing(frame: ViewFrame) -> Iterator[Candidate]:
+    if frame.table is not None:
+        moved = frame.outer - frame.height(frame.outer)[:, None] * frame.table[1]
+        log_weight = -EVIDENCE * float(frame.misfit(moved).mean())
+        yield Candidate("standing", np.concatenate([frame.outer, moved]), NO_SYMMETRY, log_weight, smooth=True)
 
 
 def _inflated(frame: ViewFrame) -> Iterator[Candidate]:
     column = frame.grid.cells(frame.points) // frame.grid.shape[2]
     for share in THICKNESS:
         wall = np.maximum(share * frame.edge_distance, frame.grid.size)
-        moved = frame.points + wall.ravel()[column][:, None] * [0.0, 0.0, 1.0]
+        moved = frame.above(frame.points + wall.ravel()[column][:, None] * [0.0, 0.0, 1.0])
         log_weight = -EVIDENCE * float(frame.misfit(moved[:: len(moved) // 200 + 1]).mean())
         points = np.concatenate([frame.outer, outermost(moved)])
         yield Candidate("inflated", points, NO_SYMMETRY, log_weight, smooth=True, wall=wall)
@@ -205,4 +212,5 @@ KINDS: tuple[Callable[[ViewFrame], Iterator[Candidate]], ...] = (
     _inflated,
     _shell,
     _hull,
+    _standing,
 )

@@ -7,6 +7,7 @@ when a part of its wall was seen.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -27,8 +28,9 @@ PRIORS = {
     "inflated": 0.05,
     "shell": 0.15,
     "hull": 0.05,
+    "standing": 0.5,
 }
-"""Probability of each kind before the scan is looked at."""
+"""Probability of each kind before the scan is looked at, over their sum; one kind needs a table."""
 
 HOVERING = 0.05
 """Mean height above its table of a solid that stands on it, over the mean extent behind the seen points: solids that
@@ -66,12 +68,22 @@ def complete(scan: Scan, *, count: int = 8, seed: int = 0, table: Plane | None =
         T = frame.T_object_view.copy()
         T[:3, 3] += shift * T[:3, 2]
         pieces = tuple(piece.transformed(T) for piece in pieces_of(frame, candidate))
-        if left := _above(pieces, table):
-            found.append(Hypothesis(candidate.kind, left, weight))
-    if not found:
+        found.append(Hypothesis(candidate.kind, pieces, weight))
+    return above_table(found, table)
+
+
+def above_table(solids: Iterable[Hypothesis], table: Plane | None) -> tuple[Hypothesis, ...]:
+    """Return solids without what lies below a table; their weights sum to 1.
+
+    Raises:
+        MeshError: all lie below the table.
+    """
+    cut = [replace(one, pieces=_above(one.pieces, table)) for one in solids]
+    left = [one for one in cut if one.pieces]
+    if not left:
         raise MeshError("all points of the scan lie below the table")
-    total = sum(one.weight for one in found)
-    return tuple(replace(one, weight=one.weight / total) for one in found)
+    total = sum(one.weight for one in left)
+    return tuple(replace(one, weight=one.weight / total) for one in left)
 
 
 def _representatives(frame: ViewFrame, candidates: list[Candidate], count: int) -> list[tuple[Candidate, float]]:
@@ -82,8 +94,8 @@ def _representatives(frame: ViewFrame, candidates: list[Candidate], count: int) 
     kinds = [candidate.kind for candidate in candidates]
     log_weight = np.array([one.log_weight + np.log(PRIORS[one.kind] / kinds.count(one.kind)) for one in candidates])
     masks = np.stack([filled(frame, candidate, frame.possible) for candidate in candidates])
-    if frame.height is not None:
-        lowest = np.where(masks, frame.height[frame.possible], np.inf).min(axis=1, initial=np.inf)
+    if frame.table is not None:
+        lowest = np.where(masks, frame.height(frame.grid.centers[frame.possible]), np.inf).min(axis=1, initial=np.inf)
         log_weight -= np.clip(lowest - frame.grid.size, 0.0, frame.excess) / (HOVERING * frame.excess)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()

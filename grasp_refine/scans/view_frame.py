@@ -71,8 +71,8 @@ class ViewFrame:
     """Cells that the solids are made of."""
     free: np.ndarray
     """Depth (cells,) of the cells in free space; inf at the border of the grid."""
-    height: np.ndarray | None
-    """Height (cells,) of the cells above the table, metres; None: there is none."""
+    table: Plane | None
+    """Plane on which the object stands, this frame; None: it is not known."""
     excess: float
     """Mean extent behind the seen points, metres."""
     rng: np.random.Generator
@@ -97,8 +97,7 @@ class ViewFrame:
         grid = Grid.around(low - pad, high + pad, CELLS)
         space = Space(scan, table)
         free = np.full(grid.shape, np.inf)
-        centers = grid.centers @ R.T + t
-        depth = space.free_depth(centers).reshape(grid.shape)
+        depth = space.free_depth(grid.centers @ R.T + t).reshape(grid.shape)
         free[1:-1, 1:-1, 1:-1] = depth[1:-1, 1:-1, 1:-1]
         sample = rng.permutation(len(points))[:200]
         return cls(
@@ -110,7 +109,7 @@ class ViewFrame:
             max(space.margin, grid.size),
             grid,
             free.ravel(),
-            None if table is None else (centers - table[0]) @ table[1],
+            None if table is None else ((table[0] - t) @ R, table[1] @ R),
             excess,
             rng,
         )
@@ -118,6 +117,20 @@ class ViewFrame:
     def free_at(self, points: np.ndarray) -> np.ndarray:
         """Depth (...) of points (..., 3) in free space."""
         return self.free[self.grid.cells(points)]
+
+    def height(self, points: np.ndarray) -> np.ndarray:
+        """Height (...) of points (..., 3) above the table, metres; inf without one."""
+        if self.table is None:
+            return np.full(points.shape[:-1], np.inf)
+        return np.asarray((points - self.table[0]) @ self.table[1])
+
+    def above(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3), of which those below the table are moved to it, along the line of sight."""
+        if self.table is None:
+            return points
+        slope = self.table[1][2]
+        down = np.minimum(self.height(points), 0.0) / min(slope, -0.1)
+        return points - down[..., None] * [0.0, 0.0, 1.0]
 
     @cached_property
     def facing(self) -> np.ndarray:

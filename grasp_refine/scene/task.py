@@ -134,6 +134,8 @@ class Task:
     def on(self, obj: Object) -> Task:
         """Return the task with its regions made for an object, and with the scene's where it names none.
 
+        Without a table and a scene, the table that a scan of the object shows is that of the task.
+
         Raises:
             GraspRefineError: a region cannot be used, or holds none of the object's surface.
         """
@@ -143,7 +145,9 @@ class Task:
             for name, own in (("touch", self.touch), ("avoid", self.avoid))
         )
         found = contact_regions(obj, touch, avoid) or ContactRegions()
-        return replace(self, touch=found.touch, avoid=found.avoid)
+        seen = obj.scan.table if obj.scan is not None and self.table is None and around is None else None
+        table = self.table if seen is None else Plane(tuple(seen[1].tolist()), float(seen[0] @ seen[1]))
+        return replace(self, table=table, touch=found.touch, avoid=found.avoid)
 
     @property
     def for_simulation(self) -> Task:

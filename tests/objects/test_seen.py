@@ -139,6 +139,9 @@ def test_completions_of_another_program_are_taken_as_they_are(there: Path):
     obj = gr.load_object("scan.ply", seen_from=CORNER_VIEW, completions="done")
     np.testing.assert_allclose(obj.mesh.extents, [0.06, 0.06, 0.08])
     assert [each.weight for each in obj.hypotheses] == [0.75, 0.25, 0]
+    # But for what lies below the table.
+    cut = gr.load_object("scan.ply", seen_from=CORNER_VIEW, completions="done", table=-0.03)
+    np.testing.assert_allclose(cut.mesh.extents, [0.06, 0.06, 0.07])
     for text, word in (("shallow = 1\n", "deep"), ("shallow = -1\ndeep = 1\ndeeper = 1\n", "weights"), ("[", "read")):
         Path("done/weights.toml").write_text(text)
         with refused(MeshError, "weights.toml", word):

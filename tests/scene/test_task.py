@@ -8,6 +8,7 @@ import pytest
 
 import grasp_refine as gr
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.hands.chain import Chain
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.registry import PROTOCOLS
@@ -141,6 +142,26 @@ def test_regions_are_as_in_the_scene_unless_the_task_names_some() -> None:
     assert touched(Task(scene=around, touch=())) == []
     with refused(GraspRefineError, "above:z=9", "mug"):
         Task(touch="above:z=9").on(mug)
+
+
+def test_a_scan_shows_the_table_of_a_task_that_names_none() -> None:
+    mug = load_object("mug", candidates=16)
+    normal = np.array([0.0, -0.6, 0.8])
+    plane = np.array([0.3, 0.08, -0.04]), normal
+    scan = gr.Scan(np.zeros((0, 3)), np.zeros((0, 3)), np.array([[0.0, 0.0, 0.5]]), np.zeros(0, dtype=int), 0.0, plane)
+    seen = replace(mug, scan=scan)
+    table = Task().on(seen).plane
+    assert table is not None and np.dot(table.normal, plane[0]) == pytest.approx(table.offset)
+    np.testing.assert_allclose(table.normal, normal)
+    assert Task(table=-0.1).on(seen).plane == Plane(offset=-0.1)
+    assert Task(scene=gr.load_scene(SCENE)).on(seen).plane is None
+    assert Task().on(mug).plane is None
+    # No sampled hand goes through it.
+    hand = gr.load_hand("allegro")
+    grasps = gr.sample_grasps(hand, seen, 4, seed=0)
+    scene = gr.problem_of(hand, seen, grasps).groups[0].scene
+    T = Chain(hand, scene.links)(scene.T_world_root, scene.q).T_world_link
+    assert table.heights([hand.links_by_name[name].solid for name in scene.links], T)[0].min() > -0.001
 
 
 def test_a_task_takes_the_place_of_what_it_names() -> None:
