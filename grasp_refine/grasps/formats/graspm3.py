@@ -54,13 +54,13 @@ class GraspM3(Format):
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
         """The grasps of a file, one per trajectory."""
         held, name = source.content, source.path.stem
-        seqs = source.numbers(held["grasp_seqs"], "grasp_seqs", (None, None, None))
+        seqs = source.moderate(held["grasp_seqs"], "grasp_seqs", (None, None, None))
         count = len(seqs)
         layout = layout_of(source, (O6,), seqs.shape[2] - 6, hand)
         T_world_object = np.tile(np.eye(4), (count, 1, 1))
-        T_world_object[:, :3, :3] = source.numbers(held["obj_rotmat"], "obj_rotmat", (count, 3, 3))
+        T_world_object[:, :3, :3] = source.moderate(held["obj_rotmat"], "obj_rotmat", (count, 3, 3))
         T_world_object = source.transforms(T_world_object, "obj_rotmat")
-        factors = source.numbers(held["obj_scale"], "obj_scale", (count,))
+        factors = source.moderate(held["obj_scale"], "obj_scale", (count,))
         scale = np.array([source.scale(value, "obj_scale") for value in factors])
         vertices = self._vertices(source, name)
         T_world_object[:, 2, 3] = -(T_world_object[:, 2, :3] @ vertices.T).min(axis=1) * scale

@@ -17,7 +17,7 @@ from grasp_refine.grasps.poses import unit_poses, without_zero_quaternions
 MESH_FOLDERS = ("mesh", "meshes", "urdf", "mjcf", "coacd")
 """Folders inside the folder of an object, whose names are not the object's."""
 LARGEST_NUMBER = 1e100
-"""Largest number that counts as finite: squares of larger ones overflow."""
+"""Largest number that is computed with: squares of larger ones overflow."""
 MAX_NUMBERS = 2**24
 """Most numbers of one array, which take 128 MiB as float64, whatever they take in the file."""
 ROTATION_TOLERANCE = 1e-3
@@ -67,6 +67,11 @@ class Source:
             raise self.error(f"{what} must have shape ({wanted}); it has {array.shape}")
         with np.errstate(all="ignore"):  # what overflows is not finite
             array = array.astype(float)
+        return np.where(np.isfinite(array), array, np.nan)
+
+    def moderate(self, value: Any, what: str, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
+        """Return numbers as `numbers` does; NaN for those above `LARGEST_NUMBER`, to be computed with."""
+        array = self.numbers(value, what, shape)
         return np.where(np.abs(array) <= LARGEST_NUMBER, array, np.nan)
 
     def scale(self, value: Any, what: str) -> float:

@@ -155,7 +155,7 @@ class _Mapping:
             found = found.reshape(len(found), -1)
             if at is not None and found.shape[1] != count:
                 raise self.source.error(f"column {column} has {found.shape[1]} entries, and {count} joints are named")
-            parts.append(self.source.numbers(found if at is None else found[:, [at]], f"column {column}"))
+            parts.append(self.source.moderate(found if at is None else found[:, [at]], f"column {column}"))
         joined = np.concatenate(parts, axis=1) if parts else np.zeros((0, 0))
         if joined.shape[1] != count:
             raise self.source.error(f"{names} have {joined.shape[1]} numbers per row; {count} are needed")
