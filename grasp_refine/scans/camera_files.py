@@ -125,7 +125,7 @@ def _without_channel(values: np.ndarray) -> np.ndarray:
 def as_intrinsics(value: Any) -> Float[np.ndarray, " 4"]:
     """Return fx, fy, cx, cy in pixels, from a text of the four, a file, a matrix (3, 3), or an object with these.
 
-    Files are JSON, YAML or `.mat` with fx, fy and cx, cy (or ppx, ppy; or _fx and so on, as autolab_core writes them),
+    Files are JSON or YAML with fx, fy and cx, cy (or ppx, ppy; or _fx and so on, as autolab_core writes them),
     or with the matrix under K, k, cam_K, camera_matrix or intrinsic_matrix (of 9 numbers, by rows; by columns, as
     Open3D writes it); or `.npy` or text with 4 or 9 numbers.
 
@@ -246,8 +246,6 @@ def _numbers(path: Path) -> Any:
     if path.stat().st_size > MAX_TEXT_BYTES:
         raise GraspRefineError(f"{path}: too large for a few numbers; at most {MAX_TEXT_BYTES} bytes are read")
     try:
-        if suffix == ".mat":
-            return _matlab_arrays(path)
         text = path.read_text(encoding="utf-8")
         if suffix == ".json" or text.lstrip().startswith("{"):
             return json.loads(text)
@@ -256,23 +254,6 @@ def _numbers(path: Path) -> Any:
         return [float(word) for word in text.replace(",", " ").split()]
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise GraspRefineError(f"{path}: cannot be read as numbers ({' '.join(str(error).split())[:120]})") from None
-
-
-def _matlab_arrays(path: Path) -> dict[str, Any]:
-    """Return the arrays of a `.mat` file, such as the `meta.mat` of YCB-Video and GraspNet-1Billion.
-
-    Raises:
-        ValueError: it is damaged.
-    """
-    from scipy.io import loadmat
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about damage
-            return loadmat(path)
-    except Exception as error:
-        # It has errors of many kinds.
-        raise ValueError(error) from None
 
 
 def _of_mapping(found: Mapping[Any, Any]) -> Any:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from scipy.io import savemat
 
 from grasp_refine.core.errors import GraspRefineError, MeshError
 from grasp_refine.core.se3 import exp_se3, inverse
@@ -235,9 +234,6 @@ def test_intrinsics_are_read_as_cameras_write_them(tmp_path):
     for name, content in files.items():
         (tmp_path / name).write_text(content)
         np.testing.assert_array_equal(as_intrinsics(tmp_path / name), [fx, fy, cx, cy], err_msg=name)
-    savemat(tmp_path / "meta.mat", {"intrinsic_matrix": np.reshape(K, (3, 3)), "factor_depth": 1000})
-    np.testing.assert_array_equal(as_intrinsics(tmp_path / "meta.mat"), [fx, fy, cx, cy])
-    (tmp_path / "cut.mat").write_bytes((tmp_path / "meta.mat").read_bytes()[:200])
     for value in (f"{fx},{fy},{cx},{cy}", np.array(K), Intrinsics(fx, fy, cx, cy, 640, 480)):
         np.testing.assert_array_equal(as_intrinsics(value), [fx, fy, cx, cy])
     (tmp_path / "odd.yaml").write_text("k: &a [*a]\n")
