@@ -203,6 +203,17 @@ class ViserPage:
         T_three_world, T_camera_three = map(matrix, self.page.evaluate(PROJECTION)[:2])
         return np.linalg.inv(T_camera_three @ T_three_world)
 
+    def resting_camera(self) -> np.ndarray:
+        """`camera`, once it rests: it glides, and a busy page draws seldom."""
+        now = self.camera()
+        while True:
+            before = now
+            self.page.wait_for_timeout(500)
+            self.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+            now = self.camera()
+            if np.allclose(now, before, atol=1e-4):
+                return now
+
     def pixel(self, point: Sequence[float] | np.ndarray) -> tuple[float, float]:
         """Where the window shows a point of the world."""
         T_three_world, T_camera_three, projection = map(matrix, self.page.evaluate(PROJECTION)[:3])

@@ -102,8 +102,12 @@ keeps the last 128 chains for itself."""
     ],
     ids=["closing", "holding", "adam"],
 )
-def test_many_refinements_leave_no_memory_behind(scene: Scene, config: Config, count: int) -> None:
+def test_many_refinements_leave_no_memory_behind(
+    scene: Scene, config: Config, count: int, pytestconfig: pytest.Config
+) -> None:
     """Nothing is left of them but 300 bytes each, which is less than the arrays of one."""
+    if pytestconfig.getoption("jaxtyping_packages"):
+        pytest.skip("checks of types take ten times as long, and memory of their own")
     tracemalloc.start()
     try:
         for _ in range(WARM):

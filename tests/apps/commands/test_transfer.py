@@ -58,6 +58,7 @@ def test_what_a_transfer_lacks_is_named(capfd: pytest.CaptureFixture[str], words
     assert named in refused(capfd, "transfer", EXAMPLE, *words)
 
 
+@pytest.mark.slow
 def test_a_batch_transfers_and_resumes_and_its_index_has_the_fidelity(capsys: pytest.CaptureFixture[str]):
     command = ["batch", str(EXAMPLE), "--hand", "allegro", "--transfer-from", "shadow", "--out", "out"]
     command += ["--workers", "1", "--index-format", "csv"]

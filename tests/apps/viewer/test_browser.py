@@ -216,14 +216,16 @@ def test_keys_step_and_mark_and_typing_is_no_command(viewer: Viewer, page: Viser
     ):  # fmt: skip
         press(page, key)
         until(lambda n=number, m=mark: (made.state.number, made.state.collection.mark(n)) == (n, m), f"key {key}")
-    camera = page.camera()
+    camera = page.resting_camera()
     # The camera follows the grasp until it is moved; F fits the camera of this page.
     page.page.mouse.move(400, 400)
-    for _ in range(3):
-        page.page.mouse.wheel(0, 400)
-    until(lambda: not np.allclose(page.camera(), camera, atol=0.02), "a camera that steps back")
+    act(
+        lambda: [page.page.mouse.wheel(0, 400) for _ in range(3)],
+        lambda: not np.allclose(page.camera(), camera, atol=0.02),
+        "a camera that steps back",
+    )
     until(lambda: shown(viewer).view._moved, "the server knows")
-    away = page.camera()
+    away = page.resting_camera()
     press(page, "ArrowRight")
     until(lambda: made.state.number == 1, "the next grasp")
     wait_for_pose(viewer, page, made.state.pose)

@@ -11,7 +11,7 @@ import numpy as np
 
 from grasp_refine.core.array_records import take
 from grasp_refine.core.array_types import Bool, Float, Int, Shaped
-from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.core.se3 import tangents, transform_from_pose
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
@@ -254,10 +254,13 @@ class Collection:
         return None if gap is None or np.isnan(gap).all() else Counted(gap)
 
     def T_world_object(self, number: int) -> Float[np.ndarray, "4 4"]:
-        """Return the pose (4, 4) in which the object is shown at first: up in a scene is up in the picture."""
-        T, environment = np.eye(4), self.group(number).scene.environment
-        if environment is not None:
-            T[:3, :3] = environment.T_world_object[:3, :3]
+        """Return the pose (4, 4) in which the object is shown at first: up in a scene, or on a table, is up there."""
+        T, scene = np.eye(4), self.group(number).scene
+        if scene.environment is not None:
+            T[:3, :3] = scene.environment.T_world_object[:3, :3]
+        elif scene.table is not None:
+            normal = np.array(scene.table.normal)
+            T[:3, :3] = np.column_stack([tangents(normal), normal]).T
         return T
 
     def with_columns(self, *columns: Column) -> Collection:

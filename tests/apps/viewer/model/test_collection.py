@@ -14,6 +14,7 @@ from grasp_refine.objects.region_spec import contact_regions
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.refine import refine_problem
 from grasp_refine.problem.spec import ProblemSpec
+from grasp_refine.scene.plane import Plane
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.settings import Settings
@@ -53,6 +54,16 @@ def test_a_grasp_file_is_what_it_holds() -> None:
         assert (q == scene.q[0]).all()
     assert collection.label(3) == "mug 3"
     assert collection.hand.name == "allegro"
+
+
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.0, -0.6, 0.8), (0.0, 0.0, -1.0)])
+def test_up_from_a_table_is_up_in_the_picture(normal: tuple[float, float, float]) -> None:
+    collection = opened(EXAMPLE, table=Plane(normal, -0.1))
+    T = collection.T_world_object(0)
+    np.testing.assert_allclose(T[:3, :3] @ normal, [0, 0, 1], atol=1e-15)
+    assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0) and (collection.work(0).T_world_object == T).all()
+    if normal[2] == 1.0:
+        np.testing.assert_array_equal(T, np.eye(4))
 
 
 def test_grasps_keep_the_requested_order(results: Path) -> None:
