@@ -145,7 +145,7 @@ def _close_again(
     seconds: np.ndarray,
     progress: Progress | None,
 ) -> tuple[Minimum, GraspProblem]:
-    """Return minima of the grasps in a mask (N,) with another goal, those of all others, and the problem with it."""
+    """Return the minima, anew for the grasps in a mask (N,) with another goal, and the problem with that goal."""
     if not rows.any():
         return found, problem
     again = problem.with_goal(goal)

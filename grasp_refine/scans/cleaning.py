@@ -236,6 +236,13 @@ def _flatness_text(points: Float[np.ndarray, "P 3"], noise: float) -> str:
     return f"only a plane, {diagonal * 1e3:.3g} mm across, was seen" if flat else ""
 
 
+def fitted_plane(points: Float[np.ndarray, "P 3"]) -> Plane:
+    """Return the middle of points and the normal, of either sign, of the plane at the least squared distances."""
+    middle = points.mean(axis=0)
+    off = points - middle
+    return middle, np.linalg.eigh(off.T @ off)[1][:, 0]
+
+
 def _table_share(points: Float[np.ndarray, "P 3"], normals: Float[np.ndarray, "P 3"], noise: float) -> float:
     """Return the share of points in a plane that may be a table, see `TABLE_SHARE`; 0: there is none."""
     reach = 3.0 * noise + FLATNESS * float(np.linalg.norm(np.ptp(points, axis=0)))
@@ -247,9 +254,7 @@ def _table_share(points: Float[np.ndarray, "P 3"], normals: Float[np.ndarray, "P
             near = np.abs(height) < reach
             if near.sum() < MIN_POINTS:
                 break
-            middle = points[near].mean(axis=0)
-            off = points[near] - middle
-            normal = np.linalg.eigh(off.T @ off)[1][:, 0]
+            middle, normal = fitted_plane(points[near])
             normal = normal if normal @ normals[at] > 0 else -normal
         if near.mean() > TABLE_SHARE and not near.all() and (height[~near] > 0).mean() > TABLE_ABOVE:
             return float(near.mean())

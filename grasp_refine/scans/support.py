@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from grasp_refine.core.array_types import Bool, Float
+from grasp_refine.scans.cleaning import fitted_plane
 from grasp_refine.scans.depth_camera import Intrinsics, points_of_depth
 from grasp_refine.scans.scan import Plane
 
@@ -58,8 +59,7 @@ def support_plane(
     away = np.abs(points @ normals.T - (corners[:, 0] * normals).sum(axis=1))
     inside = away[:, (away <= reach).sum(axis=0).argmax()] <= reach
     for _ in range(2):
-        middle = points[inside].mean(axis=0)
-        normal = np.linalg.svd(points[inside] - middle, full_matrices=False)[2][2]
+        middle, normal = fitted_plane(points[inside])
         inside = np.abs((points - middle) @ normal) <= reach
         if inside.sum() < 3:
             return None

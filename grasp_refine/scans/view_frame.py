@@ -119,13 +119,12 @@ class ViewFrame:
         return self.free[self.grid.cells(points)]
 
     def height(self, points: np.ndarray) -> np.ndarray:
-        """Height (...) of points (..., 3) above the table, metres; inf without one."""
-        if self.table is None:
-            return np.full(points.shape[:-1], np.inf)
+        """Height (...) of points (..., 3) above the table, which is known, metres."""
+        assert self.table is not None
         return np.asarray((points - self.table[0]) @ self.table[1])
 
     def above(self, points: np.ndarray) -> np.ndarray:
-        """Points (..., 3), of which those below the table are moved to it, along the line of sight."""
+        """Points (..., 3); points below the table are moved to it, along the line of sight."""
         if self.table is None:
             return points
         slope = self.table[1][2]

@@ -44,7 +44,7 @@ class Verdict:
 def headline_tiles(
     verdicts: Sequence[Verdict], distributions: Mapping[str, Histogram], medians: Mapping[str, float]
 ) -> list[Tile]:
-    """Return the tile of the largest change, then those of the other verdicts.
+    """Return the tile of the largest change, then the tiles of the other verdicts.
 
     Changes of verdicts and of measures are compared by Cliff's delta (1993): the probability that a refined grasp is
     better than an input grasp, less the probability that it is worse. Of a verdict it is the difference of the shares.

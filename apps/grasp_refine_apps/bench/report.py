@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from math import degrees, isfinite
 from typing import Any, Literal
 
+import numpy as np
 from rich.box import SIMPLE
 from rich.console import RenderableType
 from rich.markup import escape
 from rich.table import Table as RichTable
 
+from grasp_refine.validation.margins.intervals import wilson
 from grasp_refine_apps.bench.chart import Chart, Row, entry
 from grasp_refine_apps.report.html_page import rendered
 
@@ -124,6 +126,15 @@ class Table:
         for row in self.rows:
             table.add_row(*(escape(column.text(row)) for column in (first, *columns)))
         return table
+
+
+def interval(name: str, held: np.ndarray) -> Row:
+    """Return the share that held and its interval; None without any."""
+    keys = name, f"{name}_lower", f"{name}_upper"
+    if not len(held):
+        return dict.fromkeys(keys)
+    lower, upper = wilson(np.asarray(held.sum()), len(held))
+    return dict(zip(keys, (float(held.mean()), float(lower), float(upper)), strict=True))
 
 
 def failed_table(problems: Sequence[str]) -> list[Table]:

@@ -10,8 +10,9 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.scene.protocols.protocol_file import load_protocol
 from grasp_refine_apps.bench.scans.measure import Measurement
-from grasp_refine_apps.bench.scans.study import EMBEDDED_OBJECTS, ScanStudy
+from grasp_refine_apps.bench.scans.study import ScanStudy
 from grasp_refine_apps.bench.scans.ways import Way
+from grasp_refine_apps.bench.success.assets import EMBEDDED_OBJECTS
 from grasp_refine_apps.bench.success.trials import Trial
 from grasp_refine_apps.commands.benchmark import BenchCommand, Outputs
 from grasp_refine_apps.commands.options import default

@@ -9,9 +9,10 @@ from typing import Annotated, Literal
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.scene.protocols.protocol_file import load_protocol
+from grasp_refine_apps.bench.success.assets import EMBEDDED_OBJECTS
 from grasp_refine_apps.bench.success.trials import Trial
 from grasp_refine_apps.bench.transfer.measure import Measurement
-from grasp_refine_apps.bench.transfer.study import EMBEDDED_OBJECTS, SOURCE_HAND, TARGETS, TransferStudy
+from grasp_refine_apps.bench.transfer.study import SOURCE_HAND, TARGETS, TransferStudy
 from grasp_refine_apps.commands.benchmark import BenchCommand, Outputs
 from grasp_refine_apps.commands.options import default
 

@@ -17,7 +17,7 @@ from grasp_refine.core.short_repr import labels
 from grasp_refine.hands.hand import Hand
 from grasp_refine.measures.measures import COMPARED, QUALITY, SIDES
 from grasp_refine.objects.object import Object
-from grasp_refine.problem.problem import Problem
+from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.results.changed import Changed
 from grasp_refine.results.fidelity_lines import fidelity_lines
@@ -83,7 +83,10 @@ class Sheet:
     def of_refined(cls, refined: RefinedGrasps, paths: Mapping[str, Path]) -> Sheet:
         """Return the sheet of a refinement, whose results are in files: name of the object -> path."""
         outcome, simulated, problem = refined.outcome, refined.simulated, refined.problem
-        names = outcome.object.tolist()
+        names, rows = outcome.object.tolist(), np.zeros(len(outcome), dtype=np.int64)
+        for name in paths:
+            at = outcome.object == name
+            rows[at] = np.arange(at.sum())
         changed = np.where(outcome.fidelity == "", outcome.change, outcome.fidelity)
         lines = fidelity_lines(outcome) or Changed.of(outcome, refined.config.confidence).lines()
         poses = (outcome.hand_pose_before, outcome.q_before), (outcome.hand_pose, outcome.q)
@@ -92,7 +95,7 @@ class Sheet:
             problem,
             tuple(Side(problem.hand, transform_from_pose(pose), q) for pose, q in poses),
             tuple(paths[name] for name in names),
-            tuple(names[:i].count(name) for i, name in enumerate(names)),
+            tuple(rows.tolist()),
             {one.name: outcome[one.name].T for one in COMPARED if one.name in outcome.measures},
             None if simulated is None else simulated.held.T,
             None if simulated is None else simulated.after,
@@ -145,15 +148,15 @@ class Sheet:
             folder: Folder of the page, from which links to files begin.
             look: Options of `refine-grasp view`, beside file and row, to show a grasp.
         """
-        cases = [self._case(i, folder, look) for i in range(len(self))]
+        groups = {int(place): group for group in self.problem.groups for place in group.place}
+        cases = [self._case(i, groups[i], folder, look) for i in range(len(self))]
         shown = list(range(len(self)))
         if len(self) > MAX_CARDS:
             shown = sorted(shown, key=lambda i: cases[i].badness, reverse=True)[:MAX_CARDS]
-        objects = {int(place): group.scene.object for group in self.problem.groups for place in group.place}
         skeleton = Skeleton.of(self.problem.hand, visual=True)
         for i in shown:
             try:
-                drawn = self._drawn(i, objects[i], skeleton)
+                drawn = self._drawn(i, groups[i].scene.object, skeleton)
                 yield Picture(cases[i], drawn[0] if len(drawn) > 1 else b"", drawn[-1])
             # A fault of one grasp costs its picture, not the page.
             except (GraspRefineError, ValueError) as error:
@@ -171,14 +174,14 @@ class Sheet:
         T, q = (np.stack([getattr(side, name)[i] for side in self.sides]) for name in ("T_world_root", "q"))
         return thumbnail(skeleton, obj, T, q)
 
-    def _case(self, i: int, folder: Path, look: tuple[str, ...]) -> Case:
+    def _case(self, i: int, group: Group, folder: Path, look: tuple[str, ...]) -> Case:
         """Return the facts about a grasp."""
         held = None if self.held is None else bool(self.held[-1, i])
         reason = "" if self.trials is None or held else str(labels(Reason, self.trials.outcome[[i]])[0])
         sides = [] if self.held is None else ["yes" if each else "no" for each in self.held[:, i]]
         both = f"held: {' → '.join(sides)}" if len(sides) > 1 else ""
-        none = np.full((len(self.sides), len(self)), np.nan)
-        group = next(group for group in self.problem.groups if i in group.place)
+        nothing = (nan,) * len(self.sides)
+        measures = {one.name: self.measures.get(one.name) for one in COMPARED}
         several = {each.object for each in self.problem.groups} > {group.object} and len(set(self.files)) == 1
         return Case(
             shard=0,
@@ -190,7 +193,9 @@ class Sheet:
             source="",
             source_row=None,
             status=" · ".join(filter(None, (self.words[i], both))),
-            measures={one.name: tuple(self.measures.get(one.name, none)[:, i].tolist()) for one in COMPARED},
+            measures={
+                name: nothing if known is None else tuple(known[:, i].tolist()) for name, known in measures.items()
+            },
             held=held,
             reason=reason,
             look=(*look, *(("--object-name", group.object) if several else ())),

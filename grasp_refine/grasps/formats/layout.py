@@ -51,7 +51,7 @@ class Layout:
         scale: float | np.ndarray = 1.0,
         labels: Mapping[str, np.ndarray] = MappingProxyType({}),
     ) -> GraspSet:
-        """Grasps from poses of the base link, and joint values in this order; those of `hand`, where there is one.
+        """Grasps from poses of the base link, and joint values in this order; in that of `hand`, where there is one.
 
         Object and scale may be one for all.
         """

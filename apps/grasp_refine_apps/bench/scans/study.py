@@ -14,16 +14,12 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.forces.quality import CONFIDENCE
 from grasp_refine.problem.example import EXAMPLE_HAND
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.margins.intervals import wilson
 from grasp_refine_apps.bench.chart import Axis, Chart, Row
 from grasp_refine_apps.bench.jobs import Job
-from grasp_refine_apps.bench.report import Column, Note, Report, Table, failed_table
+from grasp_refine_apps.bench.report import Column, Note, Report, Table, failed_table, interval
 from grasp_refine_apps.bench.scans.measure import Case, Measured, Measurement
-from grasp_refine_apps.bench.success.assets import HandCase, ObjectCase, find_hands, read_objects
+from grasp_refine_apps.bench.success.assets import EMBEDDED_OBJECTS, HandCase, ObjectCase, find_hands, read_objects
 from grasp_refine_apps.bench.success.trials import Trial
-
-EMBEDDED_OBJECTS = ("mug", "bottle", "rounded_box")
-"""Objects without a folder of assets."""
 
 NUM_BINS = 10
 """Number of bins of the promised quality."""
@@ -144,15 +140,6 @@ def _row(some: Sequence[Measured]) -> Row:
         "refinement_ms": 1e3 * sum(one.refinement_s for one in some) / count,
         "troubles": sum(bool(one.trouble) for one in some),
     }
-
-
-def interval(name: str, held: np.ndarray) -> Row:
-    """Return the share that held and its interval; None without any."""
-    keys = name, f"{name}_lower", f"{name}_upper"
-    if not len(held):
-        return dict.fromkeys(keys)
-    lower, upper = wilson(np.asarray(held.sum()), len(held))
-    return dict(zip(keys, (float(held.mean()), float(lower), float(upper)), strict=True))
 
 
 def _share(row: Row, some: Sequence[Row]) -> Row:

@@ -24,6 +24,8 @@ from grasp_refine.core.errors import GraspRefineError, MeshError, quote_value
 from grasp_refine.geometry.mesh import SUFFIXES
 from grasp_refine.hands.files.source import list_hands, needs_urdf
 
+EMBEDDED_OBJECTS = ("mug", "bottle", "rounded_box")
+"""Embedded objects of the benchmarks that need no folder."""
 EMBEDDED = "embedded/"
 """Prefix of the names of hands that come with the program."""
 

@@ -17,16 +17,14 @@ from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine_apps.bench.chart import Row
 from grasp_refine_apps.bench.jobs import Job
-from grasp_refine_apps.bench.report import Column, Note, Report, Table, failed_table
-from grasp_refine_apps.bench.scans.study import interval
+from grasp_refine_apps.bench.report import Column, Note, Report, Table, failed_table, interval
+from grasp_refine_apps.bench.success.assets import EMBEDDED_OBJECTS
 from grasp_refine_apps.bench.success.cases import SAMPLED, Axes, Case
 from grasp_refine_apps.bench.success.trials import Trial
 from grasp_refine_apps.bench.transfer.measure import WAYS, Measured, Measurement
 
 SOURCE_HAND = "allegro"
 """Hand of the embedded examples."""
-EMBEDDED_OBJECTS = ("mug", "bottle", "rounded_box")
-"""Objects of the embedded examples."""
 TARGETS = ("leap", "shadow_palm", "franka_hand")
 """Embedded hands that get the grasps."""
 

@@ -85,7 +85,7 @@ def visual_shapes(hand: Hand, say: Callable[[str], None] = lambda line: None) ->
 
 @lru_cache(MAX_KEPT_HANDS)
 def _read_shapes(hand: Hand) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
-    """Return the visual shapes of a hand, and lines about those that cannot be read; each page draws them again."""
+    """Return the visual shapes of a hand, and lines about shapes that cannot be read; each page draws them again."""
     unread: list[str] = []
     try:
         visuals = load_visuals(hand.urdf, hand.links_by_name, unread.append)
