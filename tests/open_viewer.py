@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -21,6 +22,7 @@ from grasp_refine_apps.viewer.jobs import validating
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.jobs.worker import Control, Stopped
 from grasp_refine_apps.viewer.model.collection import Collection
+from grasp_refine_apps.viewer.model.state import State
 from grasp_refine_apps.viewer.model.validated import DirectionResult, TrialResult
 from running_processes import PATIENCE_S
 
@@ -48,11 +50,16 @@ def shown_panel(kind: type, made: Controller) -> Iterator[tuple[Any, Page]]:
     import viser
 
     from grasp_refine_apps.viewer.server.page import Drawer
-    from websocket_page import Page
+    from websocket_page import DRAWING, Page
+
+    def alone(draw: Callable[[State], None], state: State) -> None:
+        with DRAWING:
+            draw(state)
 
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     panel = kind(server, made)
-    drawer = Drawer([panel.draw, *getattr(panel, "slow_draws", ())], made.state)
+    draws = [panel.draw, *getattr(panel, "slow_draws", ())]
+    drawer = Drawer([partial(alone, draw) for draw in draws], made.state)
     made.listen(drawer.draw)
     page = Page(server)
     yield panel, page

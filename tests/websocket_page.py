@@ -19,6 +19,9 @@ from websockets.sync.client import connect
 from grasp_refine.core.se3 import transform_from_pose
 from running_processes import PATIENCE_S
 
+DRAWING = threading.RLock()
+"""Held while a panel draws, and while `until` looks: it sees all of a state, or nothing of it."""
+
 
 @dataclass
 class Node:
@@ -113,7 +116,10 @@ def until(said: Callable[[], Any], seconds: float = PATIENCE_S) -> Any:
         AssertionError: it was not within so many seconds.
     """
     end = time.monotonic() + seconds
-    while not (found := said()):
+    while True:
+        with DRAWING:
+            found = said()
+        if found:
+            return found
         assert time.monotonic() < end, f"not within {seconds:g} s"
         time.sleep(0.01)
-    return found
