@@ -14,6 +14,8 @@ from grasp_refine.forces.quality import quality
 from grasp_refine.forces.squeeze import CONTACTS, squeeze
 from grasp_refine.geometry.sphere_points import on_sphere
 from grasp_refine.hands.displacement import Displacement
+from grasp_refine.measures.formulas import MeasuredGrasps, room
+from grasp_refine.measures.geometry import measure
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.frozen import Frozen
@@ -55,13 +57,15 @@ class Ends:
     """Witness points (N, K, L, 3) on the solid, object frame, metres."""
     normal: Float[np.ndarray, "N K L 3"]
     """Unit normals (N, K, L, 3) from link to object."""
+    room: Float[np.ndarray, " N"]
+    """Share (N,) of the probability that surroundings and regions leave on the first solid, as of `formulas.room`."""
 
     @staticmethod
     def of(scene: Scene, config: Config, solids: tuple[HandObject, ...], envelope: HandObject) -> Ends:
         """Close the hands of a scene on each solid.
 
         The hand opens until it is clear of all solids; from there each finger closes towards the grasp and as far
-        beyond it, until the solid stops it.
+        beyond it, until the solid or the table stops it.
 
         Args:
             scene: Grasps on the first solid; any may be in it, or away from it.
@@ -86,7 +90,10 @@ class Ends:
             T_each = np.concatenate([T, T, T])
             T_each[len(T) :, :3, 3] += np.repeat([shift, -shift], len(T), axis=0)
             from_open, to_end = np.tile(q_open, (3, 1)), np.tile(q_end, (3, 1))
-            closed = from_open + close_until_stopped(prepared, T_each, from_open, to_end) * (to_end - from_open)
+            # The table does not move with the solid.
+            raised = 0.0 if scene.table is None else (T_each - np.tile(T, (3, 1, 1)))[:, :3, 3] @ scene.table.normal
+            share = close_until_stopped(prepared, T_each, from_open, to_end, table=scene.table, raised=raised)
+            closed = from_open + share * (to_end - from_open)
             frames = chain(T_each, closed)
             cutoff = CONTACTS.cutoff(hand, links)
             witness = prepared.query(np.zeros(len(T_each), dtype=np.int64), frames.T_world_link, cutoff=cutoff)
@@ -98,11 +105,17 @@ class Ends:
             mean = np.where(posed, value.reshape(3, -1).mean(axis=0), 0.0)
             at, witness = slice(len(T)), witness.rows(slice(len(T)))
             found.append((closed[at], mean, near[at], witness.point_b, witness.normal))
-        return Ends(T_open, q_open, *(np.stack(parts, axis=1) for parts in zip(*found, strict=True)))
+        q, value, touching, point, normal = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
+        links = solids[0].chain.links
+        none = np.full((len(T), len(links), 3), np.nan)
+        geometry = measure(solids[0], T, q[:, 0], none, none)
+        grasps = MeasuredGrasps(hand, scene.object, links, T, q[:, 0], geometry, scene.task)
+        free = np.where(posed, room(grasps), 1.0)
+        return Ends(T_open, q_open, q, value, touching, point, normal, free)
 
     def probability(self, weights: Float[np.ndarray, " K"]) -> Float[np.ndarray, " N"]:
         """Return the probability (N,) that the hand holds the object, given the probability of each solid (K,)."""
-        return (self.value @ weights) ** DISTRUST
+        return (self.value @ weights) ** DISTRUST * self.room
 
     def motion(self, scene: Scene, solids: tuple[HandObject, ...], *, pressure: float | None = None) -> Motion:
         """Return the motion that closes the hands: to where the first solid stops them, and beyond.

@@ -1,4 +1,4 @@
-"""Closing of fingers along a path of the joints, until the object stops them."""
+"""Closing of fingers along a path of the joints, until the object or a table stops them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import numpy as np
 from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.refinement.closing import step_until_stopped
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.plane import Plane
 
 NUM_STEPS = 12
 """Steps of a joint from one end of its path to the other: no finger passes through a thin wall between two. Fingers of
@@ -19,8 +20,10 @@ def close_until_stopped(
     q_open: Float[np.ndarray, "N n"],
     q_end: Float[np.ndarray, "N n"],
     touch: Float[np.ndarray, "N L"] | float = 0.0,
+    table: Plane | None = None,
+    raised: Float[np.ndarray, " N"] | float = 0.0,
 ) -> Float[np.ndarray, "N n"]:
-    """Return the shares (N, n) of their paths at which the object stops the joints.
+    """Return the shares (N, n) of their paths at which the object or a table stops the joints.
 
     All joints move from `q_open` to `q_end`, each by an even share of its path, while the base link stays. A joint
     stops when a link that it moves touches the object; joints of links beyond go on. The share is 1 where nothing
@@ -32,16 +35,29 @@ def close_until_stopped(
         q_open: Joint values (N, n) at which the hand is open.
         q_end: Joint values (N, n) at which the paths end.
         touch: Distances (N, L), at most 0, from which on links touch: less for links that are in the object already.
+        table: Plane that stops links as well; a link that is below it already goes no deeper.
+        raised: Distances (N,) in metres by which it is raised along its normal.
     """
     chain, path = prepared.chain, q_end - q_open
     touch = np.broadcast_to(touch, (len(path), len(chain.links)))
+    raised = np.broadcast_to(raised, len(path))
+
+    def heights(rows: np.ndarray, T_link: np.ndarray) -> Float[np.ndarray, "R L"]:
+        if table is None:
+            return np.full(T_link.shape[:2], np.inf)
+        return table.heights(prepared.bodies, T_link)[0] - raised[rows, None]
+
+    lowest = np.zeros(touch.shape)
+    if table is not None:
+        lowest = np.minimum(heights(np.arange(len(path)), chain(T_world_root, q_open).T_world_link), 0.0)
 
     def touches(rows: np.ndarray, share: np.ndarray, step: np.ndarray) -> Bool[np.ndarray, "R n"]:
         T_link = chain(T_world_root[rows], q_open[rows] + share * path[rows]).T_world_link
         # Links whose joints all stopped need no query.
         cutoff = np.where((chain.moves & (step > 0.0)[:, None]).any(axis=2), 0.0, np.nan)
         witness = prepared.query(np.zeros(len(rows), dtype=np.int64), T_link, cutoff=cutoff)
-        return ((witness.valid & (witness.distance <= touch[rows]))[..., None] & chain.moves).any(axis=1)
+        touching = (witness.valid & (witness.distance <= touch[rows])) | (heights(rows, T_link) < lowest[rows])
+        return (touching[..., None] & chain.moves).any(axis=1)
 
     step = np.where(path != 0.0, 1.0 / NUM_STEPS, 0.0)
     return step_until_stopped(np.zeros_like(path), step, touches, (0.0, 1.0), NUM_STEPS)[0]

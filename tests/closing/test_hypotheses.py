@@ -13,6 +13,7 @@ from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.scans.hypothesis import Hypothesis
 from grasp_refine.scene.hand_object import CLEARANCE, HandObject
+from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from made_hands import BALL, joint, link, links, made_hand, slide
 
@@ -73,6 +74,17 @@ def test_fingers_stop_at_the_object_or_at_the_end_of_their_paths(hand: Hand, sca
     assert found == pytest.approx(np.array([touching, [0.03, touching[1]]]), abs=NEAR)
     witness = prepared.query(np.zeros(2, int), prepared.chain(np.tile(np.eye(4), (2, 1, 1)), found).T_world_link)
     assert (witness.distance >= -1e-9).all()
+
+
+def test_a_table_stops_fingers_and_lets_them_rise(hand: Hand, scanned: Object):
+    """One ball comes down on a table at x = 35 mm, or 50 mm; the other one rises from below it to the object."""
+    prepared, q_open = HandObject(hand, scanned), np.zeros((2, 2))
+    q_end, table = q_open + 0.09, Plane((1.0, 0.0, 0.0), 0.035)
+    T, raised = np.tile(np.eye(4), (2, 1, 1)), np.array([0.0, 0.015])
+    found = q_end * close_until_stopped(prepared, T, q_open, q_end, table=table, raised=raised)
+    left = 0.1 - RADIUS - 0.035 - raised
+    assert found == pytest.approx(np.stack([left, np.full(2, closed(RANGES[0])[1])], axis=1), abs=NEAR)
+    assert (found[:, 0] <= left).all()
 
 
 def test_joints_that_do_not_move_or_touch_already_stay(hand: Hand, scanned: Object):

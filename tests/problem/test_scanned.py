@@ -7,13 +7,17 @@ import pytest
 
 import grasp_refine as gr
 from grasp_refine.closing.hypotheses import Ends
+from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.geometry.pieces import Piece, hull
+from grasp_refine.hands.chain import Chain
+from grasp_refine.measures.formulas import COSTLY_M
 from grasp_refine.objects.object import scanned_object
 from grasp_refine.problem.facade import problem_of
 from grasp_refine.problem.scanned import next_views
 from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.scans.hypothesis import Hypothesis
 from grasp_refine.scans.scan import Scan
+from grasp_refine.scene.plane import Plane
 
 FRONT = 0.03
 """Position on x of the face that was seen, metres."""
@@ -72,13 +76,29 @@ def test_refined_grasps_hold_more_solids_than_input_grasps(scan: Scan, hand: gr.
     assert better.all()
 
 
+def test_hands_below_the_table_have_no_quality_and_refined_ones_are_above_it(
+    scan: Scan, hand: gr.Hand, grasps: gr.GraspSet
+):
+    table = Plane(offset=-0.05)
+    found = gr.refine(hand, scanned(scan, {0.06: 0.6, 0.08: 0.4}), grasps, QUICK, task=gr.Task(table=table))
+    solids = {link.name: link.body for link in hand.links if link.body is not None}
+    chain, bodies = Chain(hand, list(solids)), list(solids.values())
+    before, after = (
+        -table.heights(bodies, chain(transform_from_pose(each.hand_pose), each.q).T_world_link)[0].min(axis=1)
+        for each in (found.before, found.after)
+    )
+    assert (before > COSTLY_M[1]).any()
+    assert (found.quality[before > COSTLY_M[1], 0] == 0.0).all()
+    assert (after < 1e-5).all()
+
+
 def test_another_view_is_wanted_where_unseen_contacts_face(scan: Scan):
     """One contact on the face that was seen, one on the far side of each solid."""
     point = np.array([[[[0.03, 0.0, 0.0], [-0.03, 0.0, 0.0]], [[0.03, 0.0, 0.0], [-0.05, 0.0, 0.0]]]])
     normal = np.tile([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], (1, 2, 1, 1))
     touching = np.ones((1, 2, 2), dtype=bool)
     none = np.zeros((1, 2))
-    ends = Ends(np.eye(4)[None], none, np.zeros((1, 2, 2)), none, touching, point, normal)
+    ends = Ends(np.eye(4)[None], none, np.zeros((1, 2, 2)), none, touching, point, normal, np.ones(1))
     weights = np.array([0.7, 0.3])
     assert next_views(scan, ends, weights)[0] == pytest.approx([-1.0, 0.0, 0.0])
     seen = replace(ends, touching=touching & [True, False])
