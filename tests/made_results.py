@@ -138,6 +138,7 @@ def plain_outcome(
         contact_point_object=points,
         contact_normal=points,
         contact_distance=np.zeros((count, links)),
+        contact_probability=np.full((count, links), np.nan),
         stage_pose=np.repeat(pose[:, None], 3, axis=1),
         stage_q=np.repeat(q[:, None], 3, axis=1),
         gap=np.full(count, ""),

@@ -117,6 +117,10 @@ class Ends:
         """Return the probability (N,) that the hand holds the object, given the probability of each solid (K,)."""
         return (self.value @ weights) ** DISTRUST * self.room
 
+    def contact_probability(self, weights: Float[np.ndarray, " K"]) -> Float[np.ndarray, "N L"]:
+        """Return the probability (N, L) that each link touches the object, given the probability of each solid (K,)."""
+        return np.einsum("nkl,k->nl", self.touching, weights)
+
     def motion(self, scene: Scene, solids: tuple[HandObject, ...], *, pressure: float | None = None) -> Motion:
         """Return the motion that closes the hands: to where the first solid stops them, and beyond.
 

@@ -399,6 +399,7 @@ RESERVED = frozenset(
         *("pregrasp_pose", "pregrasp_q", "squeeze_pose", "squeeze_q", "forces"),
         *("target_link", "target_point_link", "target_point_object", "contact_links", "contact_gaps", "contact_link"),
         *("fidelity", "fingers", "contact_point_link", "contact_point_object", "contact_normal", "contact_distance"),
+        "contact_probability",
         *(f"forces_{name}" for name in ("grasp", "link", "point", "normal", "vector")),
         *("simulation", "simulation_label", "simulation_reason", "simulation_direction"),
         *("simulation_displacement_m", "simulation_angle_rad", "held", "reason", "success", "good"),

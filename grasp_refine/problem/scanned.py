@@ -75,7 +75,13 @@ def refine_scanned(
     measures = {**outcome.measures, QUALITY.name: np.where(scene.posed[:, None], probability, np.nan)}
     unseen = _not_seen(scene, kept, measures)
     weakness = np.array([new or old for new, old in zip(unseen, outcome.weakness.tolist(), strict=True)], dtype=np.str_)
-    return replace(outcome, measures=measures, weakness=weakness, labels=group.grasps.labels)
+    return replace(
+        outcome,
+        measures=measures,
+        weakness=weakness,
+        labels=group.grasps.labels,
+        contact_probability=kept.contact_probability(obj.weights),
+    )
 
 
 def _on_each(

@@ -78,6 +78,8 @@ class Outcome(ArrayRecord):
     """Unit normals from link to object at the witness points (N, L, 3), object frame."""
     contact_distance: np.ndarray
     """Signed distances at the witness points (N, L), metres."""
+    contact_probability: np.ndarray
+    """Probability (N, L) that a link touches a scanned object when the hand closes on it; NaN for other objects."""
     stage_pose: np.ndarray
     """Poses (N, 3, 7) of the base link at pregrasp, grasp and squeeze, as `hand_pose`."""
     stage_q: np.ndarray
@@ -136,6 +138,16 @@ class Outcome(ArrayRecord):
         """Return the texts (N,) as result files have them: on the refinement, and on the fidelity of transfers."""
         words = {name: getattr(self, name) for name in WORDS}
         return {"status": labels(Status, self.status), **words}
+
+    def likely_contact(self, links: tuple[str, ...], link: str) -> str:
+        """Return the probability that a link of the first grasp touches, as the end of a sentence on it.
+
+        Args:
+            links: Links with collision geometry, as in `Scene.links`.
+            link: Name of a link; the text on one without geometry, or on an object that was not scanned, is empty.
+        """
+        found = self.contact_probability[0, links.index(link)] if link in links else np.nan
+        return "" if np.isnan(found) else f"; touches {100 * found:.0f} % of what the object may be"
 
     def entries(self) -> dict[str, np.ndarray]:
         """Return the measures as result files have them: `Measure.entries` -> values (N,), SI units."""
@@ -231,6 +243,7 @@ def compare(
         contact_point_object=at_contacts(witness.point_b),
         contact_normal=at_contacts(witness.normal),
         contact_distance=at_contacts(witness.distance),
+        contact_probability=np.full(contacts.shape, np.nan),
         stage_pose=pose_from_transform(motion.T_world_root),
         stage_q=motion.q,
         gap=np.array([_gap_text(scene.links, error) for error in errors[count:]], dtype=np.str_),

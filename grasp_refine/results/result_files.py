@@ -86,6 +86,7 @@ def save_results(
         contact_point_object                (N, K, 3)  witness point on the object, object frame
         contact_normal                      (N, K, 3)  unit normal from link to object, object frame
         contact_distance                    (N, K)     signed distance, metres
+        contact_probability                 (N, K)     probability that the link touches; of scanned objects alone
         forces_grasp                        (C,)       row of the grasp of each force of the squeezes
         forces_link                         (C,)       link that presses
         forces_point                        (C, 3)     contact point on the object, object frame, metres
@@ -140,6 +141,7 @@ def result_entries(links: tuple[str, ...], outcome: Outcome) -> dict[str, np.nda
         outcome: The grasps.
     """
     touching = np.flatnonzero(outcome.touching.any(axis=0))
+    likely = outcome.contact_probability[:, touching]
     return {
         "hand_pose_before": outcome.hand_pose_before,
         "q_before": outcome.q_before,
@@ -148,6 +150,7 @@ def result_entries(links: tuple[str, ...], outcome: Outcome) -> dict[str, np.nda
         "contact_point_object": outcome.contact_point_object[:, touching],
         "contact_normal": outcome.contact_normal[:, touching],
         "contact_distance": outcome.contact_distance[:, touching],
+        **({} if np.isnan(likely).all() else {"contact_probability": likely}),
         **({} if outcome.forces is None else outcome.forces.flat().entries()),
         **outcome.texts(),
         **outcome.entries(),

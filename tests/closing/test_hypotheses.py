@@ -130,6 +130,14 @@ def test_each_solid_stops_the_fingers_where_it_is(scene: Scene, ends: Ends):
     assert seen == pytest.approx(np.full(3, 0.03), abs=1e-9)
 
 
+def test_links_touch_as_probably_as_the_solids_that_stop_them(scene: Scene, ends: Ends):
+    left, right, palm = (scene.links.index(name) for name in ("left", "right", "palm"))
+    touching = ends.touching.copy()
+    touching[0, 1, left] = touching[0, 2, right] = False
+    found = replace(ends, touching=touching).contact_probability(np.array([0.5, 0.3, 0.2]))[0]
+    assert found[[left, right, palm]] == pytest.approx([0.7, 0.8, 0.0])
+
+
 def test_squeezes_press_on_the_thinnest_solid(scene: Scene, scanned: Object, ends: Ends):
     solids = tuple(HandObject(scene.hand, solid) for solid in scanned.solids)
     motion = ends.motion(replace(scene, q=ends.q[:, 0]), solids)

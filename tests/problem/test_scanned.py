@@ -1,6 +1,7 @@
 """Refinement on a scanned object: over all solids that it may be."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.scans.hypothesis import Hypothesis
 from grasp_refine.scans.scan import Scan
 from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.scene import links_of
 
 FRONT = 0.03
 """Position on x of the face that was seen, metres."""
@@ -55,7 +57,9 @@ def grasps(hand: gr.Hand) -> gr.GraspSet:
     return gr.sample_grasps(hand, gr.load_object("box:0.06,0.06,0.1"), 4, seed=1)
 
 
-def test_quality_is_over_all_solids_and_what_was_not_seen_is_said(scan: Scan, hand: gr.Hand, grasps: gr.GraspSet):
+def test_quality_is_over_all_solids_and_what_was_not_seen_is_said(
+    scan: Scan, hand: gr.Hand, grasps: gr.GraspSet, tmp_path: Path
+):
     # No hand reaches around the second one.
     large = (hull(5.0 * box(0.06)[0].vertices - [4 * FRONT, 0.0, 0.0]),)
     both = Hypothesis("extruded", box(0.06), 0.6), Hypothesis("extruded", large, 0.4)
@@ -63,6 +67,16 @@ def test_quality_is_over_all_solids_and_what_was_not_seen_is_said(scan: Scan, ha
     found = gr.refine(hand, obj, grasps, QUICK)
     likely, quality = found.outcome["likely_quality"][:, 1], found.quality[:, 1]
     assert (quality <= 0.6).all()
+    # Contact links touch the first solid; the file has how probably they touch the object.
+    found.save(tmp_path / "refined.npz")
+    saved = np.load(tmp_path / "refined.npz")
+    touching = ~np.isnan(saved["contact_distance"])
+    assert (saved["contact_probability"][touching] >= 0.6 - 1e-9).all()
+    assert saved["contact_probability"].max() <= 1.0 + 1e-9
+    share, link = saved["contact_probability"][0, 0], str(saved["contact_link"][0])
+    assert (
+        found.outcome.likely_contact(links_of(hand), link) == f"; touches {100 * share:.0f} % of what the object may be"
+    )
     hidden = np.flatnonzero(likely >= 0.95)
     assert len(hidden)
     for i in hidden:

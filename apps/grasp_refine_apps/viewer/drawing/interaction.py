@@ -209,6 +209,8 @@ class Interaction:
             return
         link, point = read
         text = self._controller.contacts(state).reading(link, state.pressure_n)
+        if state.outcome is not None and state.frame is None:
+            text += state.outcome.likely_contact(state.scene.links, link)
         T = state.T_world_object @ self._hand.poses(state.shown.T_object_root, state.shown.q)[link]
         if self.label is None:
             self.label = self._scene.add_label("/reading", text)
