@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from functools import lru_cache
+from functools import cache, lru_cache
 from types import MappingProxyType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -39,7 +39,7 @@ def check_kind(name: str, value: object, kind: Any) -> None:
     Raises:
         GraspRefineError: names the required type, the value given, and the function that returns such a value.
     """
-    if not _is_kind(value, kind):
+    if not _test_of(kind)(value):
         source = SOURCES.get(getattr(next(iter(get_args(kind)), kind), "__name__", ""))
         shown = f'"{value}"' if isinstance(value, str) else "..."
         advice = f"; {source.format(shown)} returns one" if source else ""
@@ -180,28 +180,36 @@ def _field_kinds(settings: type) -> tuple[tuple[str, Any], ...]:
     return tuple((field.name, hints[field.name]) for field in fields(settings))
 
 
-def _is_kind(value: Any, kind: Any) -> bool:
+@cache
+def _test_of(kind: Any) -> Callable[[Any], bool]:
+    """Return the test whether a value is of a kind."""
     origin, parts = get_origin(kind), get_args(kind)
     if kind in (Any, object):
-        return True
+        return lambda value: True
     if origin in (Union, UnionType):
-        return any(_is_kind(value, part) for part in parts)
+        tests = tuple(map(_test_of, parts))
+        return lambda value: any(test(value) for test in tests)
     if origin is Literal:
-        return isinstance(value, str) and value in parts
+        return lambda value: isinstance(value, str) and value in parts
     if origin is tuple:
+        tests = tuple(_test_of(part) for part in parts if part is not Ellipsis)
         if parts[-1] is Ellipsis:
-            return isinstance(value, tuple) and all(_is_kind(item, parts[0]) for item in value)
-        return isinstance(value, tuple) and len(value) == len(parts) and all(map(_is_kind, value, parts))
+            return lambda value: isinstance(value, tuple) and all(map(tests[0], value))
+        return lambda value: (
+            isinstance(value, tuple)
+            and len(value) == len(tests)
+            and all(test(item) for test, item in zip(tests, value, strict=True))
+        )
     if origin is Callable:
-        return callable(value)
+        return callable
     if kind is float:
-        return is_number(value)
+        return is_number
     if kind is int:
-        return isinstance(value, int | np.integer) and not isinstance(value, bool)
+        return lambda value: isinstance(value, int | np.integer) and not isinstance(value, bool)
     if kind is bool:
-        return isinstance(value, bool | np.bool_)
+        return lambda value: isinstance(value, bool | np.bool_)
     # A class has the methods of its instances, which is all that a protocol checks.
-    return isinstance(value, origin or kind) and not isinstance(value, type)
+    return lambda value: isinstance(value, origin or kind) and not isinstance(value, type)
 
 
 def _describe(kind: Any) -> str:

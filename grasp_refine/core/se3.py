@@ -40,6 +40,9 @@ _COFACTORS = tuple(
 """Indices of entries of a 3 x 3 matrix: entry (i, j) has the cofactor R[i + 1, j + 1] R[i + 2, j + 2] -
 R[i + 1, j + 2] R[i + 2, j + 1], indices modulo 3."""
 
+_NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
+"""Indices of the two axes after each axis."""
+
 UNIT = 1e-3
 """Largest deviation of a quaternion's squared length from 1: rounding to float32 passes, a mix-up does not."""
 
@@ -66,10 +69,13 @@ def array_namespace(array: Array) -> ModuleType:
 
 def cross(a: Same, b: Same) -> Same:
     """Cross product a x b of vectors (..., 3)."""
-    xp = array_namespace(a)
-    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
-    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
-    return xp.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], axis=-1)
+    return _entries(a, _NEXT) * _entries(b, _AFTER) - _entries(a, _AFTER) * _entries(b, _NEXT)
+
+
+def _entries(vector: Same, places: np.ndarray) -> Same:
+    """Entries (..., P) of vectors at some places (P,)."""
+    # NumPy takes four times as long to index by an array.
+    return vector.take(places, axis=-1) if isinstance(vector, np.ndarray) else vector[..., places]
 
 
 def hat(w: Same) -> Same:

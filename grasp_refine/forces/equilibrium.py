@@ -304,13 +304,10 @@ class _Moving:
     def pressing(self) -> _Moving:
         """Return the points that press, first, and as few others as all grasps need: these have no force."""
         place = np.argsort(~self.there, axis=1, kind="stable")[:, : int(self.there.sum(axis=1).max(initial=0))]
-
-        def chosen(values: np.ndarray, axis: int) -> np.ndarray:
-            at = place.reshape(len(place), *(1,) * (axis - 1), -1, *(1,) * (values.ndim - axis - 1))
-            return np.take_along_axis(values, at, axis=axis)
-
+        row = np.arange(len(place))[:, None]
         by_point = self.point, self.normal, self.motion, self.there, self.links
-        return _Moving(*(chosen(one, 1) for one in by_point), *(chosen(one, 2) for one in (self.force, self.local)))
+        loads = row[..., None], np.arange(self.force.shape[1])[:, None], place[:, None]
+        return _Moving(*(one[row, place] for one in by_point), self.force[loads], self.local[loads])
 
 
 def _with_corners(moving: _Moving, columns: np.ndarray, patches: LinkPatches, balance: Balance) -> _Moving:

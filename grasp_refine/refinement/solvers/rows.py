@@ -63,10 +63,11 @@ class LinkRows:
         """
         near = depth > -NEAR_DISTANCE_M
         place = np.argsort(~near, axis=1, kind="stable")[:, : int(near.sum(axis=1).max(initial=0))]
-        chosen = np.take_along_axis(near, place, axis=1)
-        residual = np.where(chosen, np.take_along_axis(depth, place, axis=1), -NEAR_DISTANCE_M)
-        covector = np.where(chosen[..., None], np.take_along_axis(covector, place[..., None], axis=1), 0.0)
-        first = None if link is None else np.take_along_axis(np.broadcast_to(link, depth.shape), place, axis=1)
+        at = np.arange(len(place))[:, None], place
+        chosen = near[at]
+        residual = np.where(chosen, depth[at], -NEAR_DISTANCE_M)
+        covector = np.where(chosen[..., None], covector[at], 0.0)
+        first = None if link is None else np.broadcast_to(link, depth.shape)[at]
         second = None if minus is None else minus[place]
         return LinkRows(residual, covector, place if first is None else first, second, unilateral=True)
 
