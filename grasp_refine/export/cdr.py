@@ -46,6 +46,22 @@ MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
         ("joint_names", "string[]"),
         ("points", "trajectory_msgs/msg/JointTrajectoryPoint[]"),
     ),
+    "geometry_msgs/msg/Transform": (
+        ("translation", "geometry_msgs/msg/Vector3"),
+        ("rotation", "geometry_msgs/msg/Quaternion"),
+    ),
+    "geometry_msgs/msg/Twist": (("linear", "geometry_msgs/msg/Vector3"), ("angular", "geometry_msgs/msg/Vector3")),
+    "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint": (
+        ("transforms", "geometry_msgs/msg/Transform[]"),
+        ("velocities", "geometry_msgs/msg/Twist[]"),
+        ("accelerations", "geometry_msgs/msg/Twist[]"),
+        ("time_from_start", "builtin_interfaces/msg/Duration"),
+    ),
+    "trajectory_msgs/msg/MultiDOFJointTrajectory": (
+        _HEADER,
+        ("joint_names", "string[]"),
+        ("points", "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint[]"),
+    ),
     "moveit_msgs/msg/GripperTranslation": (
         ("direction", "geometry_msgs/msg/Vector3Stamped"),
         ("desired_distance", "float32"),

@@ -14,16 +14,19 @@ from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import save_bytes
 from grasp_refine.core.plurals import first_of
+from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.export.cdr import cdr
 from grasp_refine.export.exported import ExportedGrasps
 from grasp_refine.export.target import Readme
 from grasp_refine.export.timed import timed
 from grasp_refine.grasps.formats.texts import dump_yaml
+from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.plan import MotionPlan, TrajectoryOptions, closing_paths, plan_motions, up_of
 from grasp_refine.motion.trajectory import Trajectory
 from grasp_refine.motion.trajectory_context import all_values, pressing_torques
 
 GRASP, TRAJECTORY = "moveit_msgs/msg/Grasp", "trajectory_msgs/msg/JointTrajectory"
+PALM_TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 
 LEAST_SHARE = 0.5
 """Share of an approach, or of a retreat, that is its least feasible distance."""
@@ -37,7 +40,7 @@ class Ros2:
     """Messages for MoveIt and for joint trajectory controllers."""
 
     name: str = "ros2"
-    what: str = "moveit_msgs/Grasp and trajectory_msgs/JointTrajectory of each grasp, as YAML and as CDR bytes"
+    what: str = "moveit_msgs/Grasp, trajectories of joints and palm of each grasp, as YAML and as CDR bytes"
     extra: str = ""
 
     def write(self, grasps: ExportedGrasps, folder: Path) -> Readme:
@@ -56,6 +59,8 @@ class Ros2:
             ends = ", ".join(f"{name} at {moved.time[place]:.2f} s" for name, place in _ends(moved).items())
             _save(folder / "grasps" / str(row), GRASP, grasp_message(grasps, plans[row], row))
             _save(folder / "trajectories" / str(row), TRAJECTORY, trajectory_message(grasps, moved), ends)
+            if hand.arm is None:
+                _save(folder / "palms" / str(row), PALM_TRAJECTORY, palm_message(grasps, moved), ends)
         palm = hand.palm
         followers = [name for name in grasps.joint_names if name not in hand.joint_names]
         beyond = [f"Grasp {row} is left out: {plan.why}." for row, plan in enumerate(plans) if plan.direction is None]
@@ -64,12 +69,15 @@ class Ros2:
             for row, plan in enumerate(plans)
             if plan.direction is not None and not plan.free
         ]
-        moves = "from the pregrasp on" if hand.arm is None else "from the approach, or where it is blocked the pregrasp"
+        files = {
+            "grasps/K.yaml, grasps/K.cdr": f"{GRASP} of grasp K",
+            "trajectories/K.yaml, trajectories/K.cdr": f"{TRAJECTORY} from the approach, or where it is blocked the "
+            "pregrasp; its first line has the times",
+        }
+        if hand.arm is None:
+            files["palms/K.yaml, palms/K.cdr"] = f"{PALM_TRAJECTORY}: poses of link `{palm}` at the same times"
         return Readme(
-            {
-                "grasps/K.yaml, grasps/K.cdr": f"{GRASP} of grasp K",
-                "trajectories/K.yaml, trajectories/K.cdr": f"{TRAJECTORY} {moves}; its first line has the times",
-            },
+            files,
             use=f"ros2 topic pub --once --stdin /grasp {GRASP} < grasps/{rows[0]}.yaml",
             notes=(
                 "In Python, `rclpy.serialization.deserialize_message(content of a .cdr, class of its message)`.",
@@ -105,14 +113,13 @@ def grasp_message(grasps: ExportedGrasps, plan: MotionPlan, row: int) -> Message
     force = 0.0
     if grasps.forces is not None:
         force = float(np.linalg.norm(grasps.forces.vector[grasps.forces.grasp == row], axis=1).max(initial=0.0))
-    x, y, z, qw, qx, qy, qz = at.tolist()
     return {
         "id": f"{grasps.name}_{grasps.index[row]}",
         "pre_grasp_posture": _posture(grasps, [opened]),
         "grasp_posture": _posture(grasps, [grasp, squeeze], effort),
         "grasp_pose": {
             "header": _header(_frame(grasps)),
-            "pose": {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": qx, "y": qy, "z": qz, "w": qw}},
+            "pose": dict(zip(("position", "orientation"), _place(at), strict=True)),
         },
         "grasp_quality": quality if np.isfinite(quality) else 0.0,
         "pre_grasp_approach": _translation(grasps, at[:3] - pregrasp[:3] - options.approach * away),
@@ -131,6 +138,27 @@ def trajectory_message(grasps: ExportedGrasps, timed: Trajectory) -> Message:
     velocity = timed.velocity(timed.q)
     points = [_point(q, time, rate) for q, time, rate in zip(timed.q, timed.time, velocity, strict=True)]
     return {"header": _header(""), "joint_names": list(grasps.hand.joint_names), "points": points}
+
+
+def palm_message(grasps: ExportedGrasps, timed: Trajectory) -> Message:
+    """Return the `trajectory_msgs/msg/MultiDOFJointTrajectory` of the palm: its poses in the object's frame."""
+    poses = pose_from_transform(palm_poses(grasps.hand, timed.T_world_root, timed.q))
+    points = [
+        {
+            "transforms": [dict(zip(("translation", "rotation"), _place(pose), strict=True))],
+            "velocities": [],
+            "accelerations": [],
+            "time_from_start": _duration(time),
+        }
+        for pose, time in zip(poses, timed.time.tolist(), strict=True)
+    ]
+    return {"header": _header(_frame(grasps)), "joint_names": [grasps.hand.palm], "points": points}
+
+
+def _place(pose: Float[np.ndarray, " 7"]) -> tuple[Message, Message]:
+    """Return position and quaternion of a pose."""
+    x, y, z, qw, qx, qy, qz = pose.tolist()
+    return {"x": x, "y": y, "z": z}, {"x": qx, "y": qy, "z": qz, "w": qw}
 
 
 def _ends(timed: Trajectory) -> dict[str, int]:
@@ -164,14 +192,18 @@ def _posture(
 def _point(
     positions: np.ndarray, time: float, velocities: np.ndarray | None = None, effort: np.ndarray | None = None
 ) -> Message:
-    sec, nanosec = divmod(round(time * 1e9), 10**9)
     return {
         "positions": positions.tolist(),
         "velocities": [] if velocities is None else velocities.tolist(),
         "accelerations": [],
         "effort": [] if effort is None else effort.tolist(),
-        "time_from_start": {"sec": sec, "nanosec": nanosec},
+        "time_from_start": _duration(time),
     }
+
+
+def _duration(time: float) -> Message:
+    sec, nanosec = divmod(round(time * 1e9), 10**9)
+    return {"sec": sec, "nanosec": nanosec}
 
 
 def _translation(grasps: ExportedGrasps, along: Float[np.ndarray, " 3"]) -> Message:

@@ -8,8 +8,8 @@ from grasp_refine.motion.trajectory import Trajectory, trajectory
 
 
 def timed(grasps: ExportedGrasps, plan: MotionPlan, row: int) -> Trajectory:
-    """Return the whole plan of a hand on an arm, where it is free; else the fingers' part of it."""
-    if grasps.hand.arm is not None and plan.free:
+    """Return the whole plan, where it is free; else the fingers' part of it."""
+    if plan.free:
         return trajectory(grasps.hand, plan)
     legs = closing_paths(grasps.hand, grasps.motion.T_world_root[row], grasps.motion.q[row])
     return trajectory(grasps.hand, MotionPlan(plan.status, plan.why, legs, plan.direction))

@@ -66,20 +66,19 @@ def test_every_column_is_described_with_its_type_and_size(folder: Path, info: di
     assert info["total_frames"] == len(frames["index"])
 
 
-def test_episodes_begin_at_the_pregrasp_pass_the_grasp_and_end_at_the_squeeze(
-    part: ExportedGrasps, info: dict, frames: dict[str, np.ndarray]
-):
+def test_episodes_approach_pass_the_stages_and_lift(part: ExportedGrasps, info: dict, frames: dict[str, np.ndarray]):
     names = info["features"]["observation.state"]["names"]
     assert names[7:] == list(part.joint_names)
     for number in range(2):
         state = frames["observation.state"][frames["episode_index"] == number]
         joints, T = state[:, 7:], transform_from_pose(state[:, :7].astype(np.float64))
-        for place, stage in ((0, 0), (-1, 2)):
-            np.testing.assert_allclose(joints[place], part.joint_values[number, stage], atol=1e-6)
-            moved, turned = distances(T[[place]], part.motion.T_world_root[[number], stage])
-            assert moved[0] < 1e-6 and turned[0] < 1e-6
-        away = np.abs(joints - part.joint_values[number, 1]).max(axis=1)
-        assert away.min() < 1e-6
+        for stage in range(3):
+            moved, turned = distances(T, np.tile(part.motion.T_world_root[number, stage], (len(T), 1, 1)))
+            away = np.abs(joints - part.joint_values[number, stage]).max(axis=1) + moved + turned
+            assert away.min() < 1e-6
+        lifted = T[-1, :3, 3] - part.motion.T_world_root[number, 2, :3, 3]
+        np.testing.assert_allclose(lifted, [0.0, 0.0, 0.1], atol=1e-6)
+        assert distances(T[:1], part.motion.T_world_root[[number], 0])[0] == pytest.approx(0.1, abs=1e-6)
         # Rates are within the share of the limits of the joints.
         driven = [names.index(name) - 7 for name in part.hand.joint_names]
         rate = np.abs(np.diff(joints[:, driven].astype(np.float64), axis=0)) * info["fps"]

@@ -37,6 +37,7 @@ from made_hands import joint, link
 from refusals import refused
 
 GRASP, TRAJECTORY = "moveit_msgs/msg/Grasp", "trajectory_msgs/msg/JointTrajectory"
+PALM_TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 
 DEFINITIONS = {
     GRASP: """
@@ -224,7 +225,7 @@ def test_trajectories_go_through_the_stages_within_the_speed_limits(part: Export
         assert not any(len(point.effort) for point in message.points)
 
 
-def test_the_arm_approaches_and_lifts_along_the_vectors_of_the_grasp(part: ExportedGrasps, folder: Path):
+def test_the_palm_approaches_and_lifts_along_the_vectors_of_the_grasp(part: ExportedGrasps, folder: Path):
     hand = part.hand
     for row in range(len(part)):
         message = decoded(folder / "grasps" / f"{row}.cdr", GRASP)
@@ -234,14 +235,23 @@ def test_the_arm_approaches_and_lifts_along_the_vectors_of_the_grasp(part: Expor
         np.testing.assert_allclose(lift, 0.1 * np.array(UP), atol=1e-7)
         np.testing.assert_allclose(at - approach, part.palm_poses[row, 0, :3] + away, atol=1e-7)
         assert message.pre_grasp_approach.min_distance < message.pre_grasp_approach.desired_distance
-        if hand.arm is None:
-            continue
         moves = decoded(folder / "trajectories" / f"{row}.cdr", TRAJECTORY)
-        order = [moves.joint_names.index(name) for name in hand.joint_names]
-        q = np.array([point.positions for point in moves.points])[[0, -1]][:, order]
-        first, last = palm_poses(hand, np.tile(T_BASE, (2, 1, 1)), q)[:, :3, 3]
-        np.testing.assert_allclose(first, at - approach, atol=1e-6)
-        np.testing.assert_allclose(last, at + lift, atol=1e-6)
+        if hand.arm is None:
+            palm = decoded(folder / "palms" / f"{row}.cdr", PALM_TRAJECTORY)
+            assert palm.header.frame_id == "a ball" and palm.joint_names == [hand.palm]
+            assert [one.time_from_start for one in palm.points] == [one.time_from_start for one in moves.points]
+            places = [one.transforms[0].translation for one in palm.points]
+            positions = np.array([[place.x, place.y, place.z] for place in places])
+            turn = palm.points[0].transforms[0].rotation
+            rotation = part.palm_poses[row, 1, 3:] @ [turn.w, turn.x, turn.y, turn.z]
+            assert abs(rotation) == pytest.approx(1.0, abs=1e-9)
+            assert np.abs(positions - at).max(axis=1).min() < 1e-9
+        else:
+            order = [moves.joint_names.index(name) for name in hand.joint_names]
+            q = np.array([point.positions for point in moves.points])[:, order]
+            positions = palm_poses(hand, np.tile(T_BASE, (len(q), 1, 1)), q)[:, :3, 3]
+        np.testing.assert_allclose(positions[0], at - approach, atol=1e-6)
+        np.testing.assert_allclose(positions[-1], at + lift, atol=1e-6)
 
 
 def test_grasps_without_numbers_are_left_out_and_named(hand: Hand, tmp_path: Path):
