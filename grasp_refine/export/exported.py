@@ -13,6 +13,7 @@ from grasp_refine.core.array_types import Float, Int, Shaped
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.squeeze_forces import ContactForces
+from grasp_refine.hands.files.urdf_text import UNLIMITED
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.trajectory_context import all_values
@@ -54,6 +55,13 @@ class ExportedGrasps:
     def object(self) -> Object:
         """The object, in metres."""
         return self.scene.object
+
+    @property
+    def speed_limits(self) -> Mapping[str, float]:
+        """Speed limits, rad/s or m/s, of the joints of the simulated model that have one, by name."""
+        joints, names = self.hand.joints_by_name, self.hand.mjcf_joints
+        limits = {names.get(name, name): joint.velocity for name, joint in joints.items()}
+        return {name: limit for name, limit in limits.items() if limit is not None and limit < UNLIMITED}
 
     @property
     def joint_names(self) -> tuple[str, ...]:

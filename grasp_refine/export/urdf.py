@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from math import isfinite
 from pathlib import Path
 
@@ -22,14 +23,20 @@ CARRIER = Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
 """Mass of the links between them, which keeps their drives well-conditioned."""
 
 
-def save_urdf(bodies: Bodies, folder: Path) -> None:
-    """Write `hand.urdf` with `hand.srdf`, `object.urdf` and `meshes/`, one convex piece a file."""
+def save_urdf(bodies: Bodies, speed_limits: Mapping[str, float], folder: Path) -> None:
+    """Write `hand.urdf` with `hand.srdf`, `object.urdf` and `meshes/`, one convex piece a file.
+
+    Args:
+        bodies: Hand and object.
+        speed_limits: Speed limits of joints that have one, rad/s or m/s, by name.
+        folder: The folder.
+    """
     hand = ET.Element("robot", name="hand")
     _add_root(hand, bodies.links[0].name)
     for link in bodies.links:
         _add_link(hand, link, folder)
         if link.parent:
-            _add_joint(hand, link)
+            _add_joint(hand, link, speed_limits.get(link.joint, UNLIMITED))
     save_xml(hand, folder / "hand.urdf")
     srdf = ET.Element("robot", name="hand")
     for pair in sorted(map(sorted, bodies.separate)):
@@ -69,14 +76,14 @@ def _add_link(robot: ET.Element, link: BodyLink, folder: Path) -> None:
             ET.SubElement(geometry, "mesh", filename=name)
 
 
-def _add_joint(robot: ET.Element, link: BodyLink) -> None:
+def _add_joint(robot: ET.Element, link: BodyLink, speed: float) -> None:
     node = ET.SubElement(robot, "joint", name=link.joint, type=link.kind)
     add_ends(node, link.parent, link.name, link.T_parent_link)
     if link.kind == "fixed":
         return
     ET.SubElement(node, "axis", xyz=numbers(link.axis))
     effort = float(link.force_limit) if isfinite(link.force_limit) else UNLIMITED
-    limit = {"effort": repr(effort), "velocity": str(UNLIMITED)}
+    limit = {"effort": repr(effort), "velocity": repr(float(speed))}
     if link.kind != "continuous":
         low, high = (value if isfinite(value) else np.copysign(UNLIMITED, value) for value in link.limits)
         limit |= {"lower": repr(float(low)), "upper": repr(float(high))}

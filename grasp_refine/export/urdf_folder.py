@@ -60,7 +60,7 @@ class UrdfFolder:
         """Write URDFs, meshes, the task and the script."""
         world, course = simulated(grasps)
         bodies = Bodies.of(world)
-        save_urdf(bodies, folder)
+        save_urdf(bodies, grasps.speed_limits, folder)
         save_npz(folder / "task.npz", _task(world, bodies, course))
         script = files(__package__).joinpath(f"{self.name}_simulate.py").read_text(encoding="utf-8")
         save_text(folder / "simulate.py", script)

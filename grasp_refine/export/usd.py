@@ -175,7 +175,10 @@ class _Writer:
             joint.CreateLowerLimitAttr(unit * link.limits[0])
             joint.CreateUpperLimitAttr(unit * link.limits[1])
         prim = joint.GetPrim()
+        prim.AddAppliedSchema("PhysxJointAPI")
         prim.CreateAttribute("physxJoint:armature", Sdf.ValueTypeNames.Float, True).Set(link.armature)
+        if (speed := self.grasps.speed_limits.get(link.joint)) is not None:
+            prim.CreateAttribute("physxJoint:maxJointVelocity", Sdf.ValueTypeNames.Float, True).Set(unit * speed)
         if link.stiffness or link.damping:
             drive = UsdPhysics.DriveAPI.Apply(prim, "linear" if slides else "angular")
             drive.CreateTypeAttr("force")

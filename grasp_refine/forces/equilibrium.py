@@ -307,7 +307,7 @@ class _Moving:
         row = np.arange(len(place))[:, None]
         by_point = self.point, self.normal, self.motion, self.there, self.links
         loads = row[..., None], np.arange(self.force.shape[1])[:, None], place[:, None]
-        return _Moving(*(one[row, place] for one in by_point), self.force[loads], self.local[loads])
+        return _Moving(*(one[row, place] for one in by_point), *(one[loads] for one in (self.force, self.local)))
 
 
 def _with_corners(moving: _Moving, columns: np.ndarray, patches: LinkPatches, balance: Balance) -> _Moving:

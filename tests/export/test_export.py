@@ -152,6 +152,8 @@ def test_the_urdf_of_a_hand_has_its_kinematics_pieces_masses_and_drives(gripper:
     task = dict(np.load(tmp_path / "folder" / "task.npz"))
     names = [str(name) for name in task["joints"]]
     assert names[6:] == ["l", "r"]
+    limits = ET.parse(tmp_path / "folder" / "hand.urdf").iterfind("joint/limit")
+    assert [float(one.get("velocity")) for one in limits][6:] == [1.0, 1.0]
     np.testing.assert_array_equal(task["force_limit"][6:], 40.0)
     assert (task["stiffness"] > 0).all() and (task["damping"] > 0).all()
     links = [link.name for link in gripper.links]

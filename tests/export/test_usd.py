@@ -124,6 +124,7 @@ def test_masses_limits_and_couplings_are_the_hands(turner: gr.Hand, stage):
     revolute = UsdPhysics.RevoluteJoint(left.GetPrim())
     assert revolute.GetLowerLimitAttr().Get() == pytest.approx(np.degrees(-0.5))
     assert revolute.GetUpperLimitAttr().Get() == pytest.approx(np.degrees(0.9))
+    assert left.GetPrim().GetAttribute("physxJoint:maxJointVelocity").Get() == pytest.approx(np.degrees(3.0))
     assert left.GetPrim().GetName() != right.GetPrim().GetName()
     assert "PhysxMimicJointAPI:rotX" in right.GetPrim().GetMetadata("apiSchemas").GetAddedOrExplicitItems()
     # joint + gearing * reference + offset = 0, in degrees

@@ -126,7 +126,7 @@ def test_a_scale_scales_all_that_is_in_it(tmp_path: Path):
     assert body is not None and body.diagonal == pytest.approx(2 * np.linalg.norm([0.01, 0.02, 0.03]), rel=1e-6)
 
 
-def test_what_is_no_hand_is_refused_by_name(tmp_path: Path):
+def test_what_is_no_hand_is_refused_by_name(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
     ball = JOINT.format(kind="Spherical", name="ball", child="finger", at0=ZERO, at1=ZERO, turn0=NONE, more="")
     with refused(HandError, "hand.usda", "/World/Hand/ball", "PhysicsSphericalJoint"):
         gr.load_hand(stage(tmp_path, ball))
@@ -136,3 +136,5 @@ def test_what_is_no_hand_is_refused_by_name(tmp_path: Path):
     (tmp_path / "broken.usda").write_text("#usda 1.0\ndef Xform {")
     with refused(HandError, "broken.usda", "USD"):
         gr.load_hand(tmp_path / "broken.usda")
+    # USD itself prints nothing beside.
+    assert capfd.readouterr() == ("", "")

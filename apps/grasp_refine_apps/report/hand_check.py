@@ -14,6 +14,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.files.description import joints_fixed_and_mimicking, links_with_visuals
+from grasp_refine.hands.files.file_faults import file_faults
 from grasp_refine.hands.files.mujoco_messages import compiled, one_line
 from grasp_refine.hands.hand import Hand, Joint
 from grasp_refine.hands.self_collision import PairClasses, classify_pairs
@@ -168,7 +169,9 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
         f"the hand weighs {mass:.3g} kg": [""] * (mass > MAX_MASS_KG),
         "no moving link has collision geometry: no link could touch an object": [""] * (not hand.contacts),
     }
-    return [text.format(", ".join(names)) for text, names in found.items() if names]
+    files = [hand.urdf] + ([hand.mjcf] if hand.mjcf not in (None, hand.urdf) else [])
+    faults = [fault for file in files for fault in file_faults(file)]
+    return [text.format(", ".join(names)) for text, names in found.items() if names] + faults
 
 
 def _idle_joints(hand: Hand) -> list[str]:

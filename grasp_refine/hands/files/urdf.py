@@ -224,3 +224,14 @@ def joints_fixed_and_mimicking(path: Path) -> tuple[str, ...]:
     """
     joints = _read_xml(path).iterfind("joint")
     return tuple(j.get("name", "") for j in joints if j.get("type") == "fixed" and j.find("mimic") is not None)
+
+
+def controlled_joints(path: Path) -> tuple[str, ...]:
+    """Names of the joints that transmissions and ros2_control name in the URDF file `path`.
+
+    Raises:
+        HandError: the file is missing, or not a URDF.
+    """
+    robot = _read_xml(path)
+    named = [one for kind in ("transmission", "ros2_control") for one in robot.iterfind(f"{kind}/joint")]
+    return tuple(dict.fromkeys(one.get("name", "") for one in named))

@@ -19,6 +19,7 @@ import numpy as np
 
 from grasp_refine.core.array_types import Float
 from grasp_refine.core.errors import HandError
+from grasp_refine.core.json_files import save_text
 from grasp_refine.core.se3 import inverse, matrix_from_quaternion, transform, transform_points
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hands.files.inertia import Inertia
@@ -27,8 +28,11 @@ from grasp_refine.hands.files.urdf_text import UNLIMITED, add_ends, add_inertia,
 SUFFIXES = (".usd", ".usda", ".usdc")
 """Suffixes of stages."""
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of the conversion."""
+
+FAULTS = "faults.txt"
+"""File beside the URDF, with a line for each fault of the stage."""
 
 AXES = {"X": np.array([1.0, 0.0, 0.0]), "Y": np.array([0.0, 1.0, 0.0]), "Z": np.array([0.0, 0.0, 1.0])}
 
@@ -46,9 +50,11 @@ def urdf_of_usd(path: Path) -> Path:
             counterpart of.
     """
     try:
-        from pxr import Tf, Usd
+        from pxr import Tf, Usd, UsdUtils
     except ModuleNotFoundError:
         raise HandError(f"{path}: USD is not installed: pip install 'grasp-refine[usd]'") from None
+    # Warnings of USD, which it would print, are part of errors.
+    warnings = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
@@ -60,8 +66,15 @@ def urdf_of_usd(path: Path) -> Path:
     folder = default_cache("usd") / digest.hexdigest()[:32]
     urdf = folder / f"{path.stem}.urdf"
     if not urdf.is_file():
-        _Converter(path, stage, folder).write(urdf)
+        _Converter(path, stage, folder, warnings).write(urdf)
     return urdf
+
+
+def usd_faults(urdf: Path) -> tuple[str, ...]:
+    """Return the faults of the stage that a URDF was made of, each with its consequence; none of another URDF."""
+    file = urdf.parent / FAULTS
+    made = urdf.is_relative_to(default_cache("usd")) and file.is_file()
+    return tuple(file.read_text(encoding="utf-8").splitlines()) if made else ()
 
 
 @dataclass(eq=False)
@@ -69,12 +82,13 @@ class _Converter:
     path: Path
     stage: Any
     folder: Path
+    warnings: Any
     _names: dict[str, str] = field(default_factory=dict)
     """Path of a body -> name of its link."""
 
     def write(self, urdf: Path) -> None:
         """Write the URDF, and its meshes before."""
-        from pxr import Usd, UsdGeom, UsdPhysics, UsdUtils
+        from pxr import Usd, UsdGeom, UsdPhysics
 
         self.metres = UsdGeom.GetStageMetersPerUnit(self.stage)
         self.kilograms = UsdPhysics.GetStageKilogramsPerUnit(self.stage)
@@ -82,13 +96,15 @@ class _Converter:
         prims = list(self.stage.Traverse(Usd.TraverseInstanceProxies()))
         bodies = [prim for prim in prims if prim.HasAPI(UsdPhysics.RigidBodyAPI)]
         if not bodies:
-            _, _, missing = UsdUtils.ComputeAllDependencies(str(self.path))
-            lacks = f"; it refers to {', '.join(missing[:3])}, which cannot be found" if missing else ""
-            raise HandError(f"{self.path}: has no body with PhysicsRigidBodyAPI{lacks}")
+            said = [one.commentary for one in self.warnings.TakeUncoalescedDiagnostics()]
+            why = f": {said[0].partition('@ of layer')[0].replace('@', '')}" if said else ""
+            raise HandError(f"{self.path}: has no body with PhysicsRigidBodyAPI{why}")
         self._names = _distinct({str(prim.GetPath()): prim.GetName() for prim in bodies})
         joints = [UsdPhysics.Joint(prim) for prim in prims if prim.IsA(UsdPhysics.Joint)]
         ends = {str(joint.GetPath()): self._ends(joint) for joint in joints}
         hand = self._largest([pair for pair in ends.values() if pair is not None])
+        beside = {path.rpartition("/")[0] for path in hand}
+        loose = [path for path in self._names if path not in hand and path.rpartition("/")[0] in beside]
         bodies = [prim for prim in bodies if str(prim.GetPath()) in hand]
         joints = [joint for joint in joints if (pair := ends[str(joint.GetPath())]) and str(pair[0].GetPath()) in hand]
         self._names = {path: name for path, name in self._names.items() if path in hand}
@@ -98,7 +114,49 @@ class _Converter:
             self._add_link(robot, prim)
         for joint in joints:
             self._add_joint(robot, joint, labels)
+        save_text(self.folder / FAULTS, "".join(f"{line}\n" for line in self._faults(joints, bodies, loose)))
         save_xml(robot, urdf)
+
+    def _faults(self, joints: list[Any], bodies: list[Any], loose: list[str]) -> list[str]:
+        """Return the faults of the hand, each with its consequence.
+
+        Args:
+            joints: Its joints.
+            bodies: Its bodies.
+            loose: Paths of bodies beside them that no joint connects to it.
+        """
+        from pxr import Usd, UsdPhysics, UsdShade
+
+        limp, fast = [], []
+        for joint in joints:
+            prim = joint.GetPrim()
+            kind = {"PhysicsRevoluteJoint": "angular", "PhysicsPrismaticJoint": "linear"}.get(prim.GetTypeName())
+            if kind is None or any(name.startswith("physxMimicJoint") for name in prim.GetPropertyNames()):
+                continue
+            drive = UsdPhysics.DriveAPI.Get(prim, kind)
+            gains = (drive.GetStiffnessAttr().Get(), drive.GetDampingAttr().Get()) if drive else (0.0,)
+            limp += [] if any(gains) else [prim.GetName()]
+            fast += [] if prim.GetAttribute("physxJoint:maxJointVelocity").Get() else [prim.GetName()]
+        slippery: dict[str, None] = {}
+        for prim in (part for body in bodies for part in Usd.PrimRange(body, Usd.TraverseInstanceProxies())):
+            material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+            if not material or not prim.HasAPI(UsdPhysics.CollisionAPI):
+                continue
+            physics = UsdPhysics.MaterialAPI(material.GetPrim())
+            if physics and not (physics.GetStaticFrictionAttr().Get() and physics.GetDynamicFrictionAttr().Get()):
+                slippery[material.GetPrim().GetName()] = None
+        found = {
+            "{} have no drive, or one without stiffness and damping: in Isaac Sim and Newton they hang loose": limp,
+            "{} have no physxJoint:maxJointVelocity: nothing limits their speed in Isaac Sim": fast,
+            "material {} has no friction, which is the default of PhysicsMaterialAPI: what it is bound to holds "
+            "nothing": list(slippery),
+            "no joint connects {} to the hand: they fall off, and are left out here": [
+                path.rpartition("/")[2] for path in loose
+            ],
+            f"lengths are in units of {self.metres:g} m: a stage in metres that refers to it needs the scale "
+            f"{self.metres:g}": [""] * (self.metres != 1.0),
+        }
+        return [text.format(", ".join(names)) for text, names in found.items() if names]
 
     def _ends(self, joint: Any) -> tuple[Any, Any] | None:
         """Return the bodies of a joint; None: it closes a loop of a linkage, or holds the hand in the world."""
