@@ -132,7 +132,8 @@ def protrusion(pieces: Sequence[Piece], mesh: trimesh.Trimesh, least: float) -> 
     # Vertices are points of one of their triangles: small ones may have no sampled point.
     triangle = np.zeros(len(mesh.vertices), dtype=np.int64)
     triangle[mesh.faces] = np.arange(len(mesh.faces))[:, None]
-    tree = KDTree(np.concatenate([on_mesh, mesh.vertices]))
+    # Built in half of the time, and asked once.
+    tree = KDTree(np.concatenate([on_mesh, mesh.vertices]), balanced_tree=False, compact_nodes=False)
     exposed = sample(pieces, _SURFACE_POINTS, seed=0).points
     # Its triangle is no farther than a point on it.
     exposed = exposed[tree.query(exposed)[0] > least]

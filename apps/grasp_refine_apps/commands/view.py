@@ -105,19 +105,23 @@ class View:
             if self.serving.open and _has_screen():
                 webbrowser.open(page.address)
             loading = Banner(page.server.gui)
-            loading.show("Opening: loading the viewer …")
+
+            def report(step: str) -> None:
+                loading.show(f"Opening: {step} …")
+
+            report("loading the viewer")
             # Loads packages for a second.
-            from grasp_refine_apps.commands.view_files import controller_of
+            from grasp_refine_apps.commands.view_files import open_files
             from grasp_refine_apps.viewer.panels.app import Viewer
 
             try:
-                controller = controller_of(self, lambda what: loading.show(f"Opening: {what} …"))
+                controller = open_files(self.files, self.inputs, self.settings, self.compare, report)
             except GraspRefineError as error:
                 loading.show(f"error: {in_options(' '.join(str(error).split()))}", bad=True)
                 # The page of a browser that was opened above comes first, and then its text.
                 _wait_for_page(page.server, PAGE_PATIENCE_S if self.serving.open and _has_screen() else 0.0)
                 raise
-            loading.show("Opening: drawing …")
+            report("drawing")
             with Viewer(page, controller, lambda: loading.show("")) as viewer:
                 _wait(viewer)
         finally:

@@ -9,7 +9,6 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from grasp_refine.problem.load import Loader
 from grasp_refine.validation.replay.replay import Replay, Stage, load_replay
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 from grasp_refine_apps.viewer.files.validation_file import ValidationFile, read_validation
@@ -31,21 +31,36 @@ from grasp_refine_apps.viewer.jobs.replaying import is_replay, replay_recording
 from grasp_refine_apps.viewer.model.collection import Collection, posed_in
 from grasp_refine_apps.viewer.model.recording import Recording
 
-if TYPE_CHECKING:
-    from grasp_refine_apps.commands.view import View
 
+def open_files(
+    files: tuple[Path, ...],
+    inputs: Inputs,
+    settings: Settings,
+    compare: Path | None = None,
+    report: Callable[[str], None] = lambda step: None,
+) -> Controller:
+    """Load the grasps of files, with the results of documents about them; arguments as the options of `view`.
 
-def controller_of(view: View, report: Callable[[str], None] = lambda step: None) -> Controller:
-    """Load the grasps of the files, with the results of documents about them; `report` is called with each step."""
+    Args:
+        files: Files and documents.
+        inputs: Hand, objects and grasps.
+        settings: Settings of refinements.
+        compare: File of the grasps that are drawn as a ghost.
+        report: Called with each step.
+
+    Raises:
+        GraspRefineError: a file cannot be used.
+    """
     report("reading the grasps")
-    documents = [read_validation(path) for path in view.files if path.suffix.lower() == ".json"]
-    grasps = [path for path in view.files if path.suffix.lower() != ".json"]
-    if len(grasps) > 1 or (grasps and view.inputs.grasps is not None):
+    documents = [read_validation(path) for path in files if path.suffix.lower() == ".json"]
+    grasps = [path for path in files if path.suffix.lower() != ".json"]
+    if len(grasps) > 1 or (grasps and inputs.grasps is not None):
         raise GraspRefineError(
             "one grasp file at a time, or a folder of them, such as the one that run wrote; "
-            f"got {', '.join(map(str, [*grasps, *filter(None, [view.inputs.grasps])]))}"
+            f"got {', '.join(map(str, [*grasps, *filter(None, [inputs.grasps])]))}"
         )
-    inputs = view.inputs if not grasps else replace(view.inputs, grasps=grasps[0])
+    if grasps:
+        inputs = replace(inputs, grasps=grasps[0])
     with Reporter(screen(stderr=True)) as reporter:
 
         def say(line: str) -> None:
@@ -57,21 +72,21 @@ def controller_of(view: View, report: Callable[[str], None] = lambda step: None)
             report(what)
 
         if grasps and is_replay(grasps[0]):
-            if view.compare is not None:
+            if compare is not None:
                 raise GraspRefineError(f"--compare is for grasp files; {grasps[0]} is a replay")
-            return _replay_controller(view, grasps[0], reporter)
+            return _replay_controller(grasps[0], inputs, settings, reporter)
         if documents and inputs.grasps is None:
             inputs = replace(inputs, grasps=_grasp_file(documents[0]))
-        collection = _load(inputs, view.settings.seed, say, wait)
+        collection = _load(inputs, settings.seed, say, wait)
         compared = None
-        if view.compare is not None:
-            compared = _load(replace(inputs, grasps=view.compare), view.settings.seed, say, wait, shown=False)
+        if compare is not None:
+            compared = _load(replace(inputs, grasps=compare), settings.seed, say, wait, shown=False)
         opened = [each for each in (collection, compared) if each is not None]
         for note in dict.fromkeys(note for each in opened for note in each.problem.notes):
             reporter.note(note)
     for document in documents:
         collection = collection.with_trials(document.of(collection))
-    return Controller(collection, view.settings, compared)
+    return Controller(collection, settings, compared)
 
 
 def _load(
@@ -88,11 +103,11 @@ def _load(
     return Collection.of(loader.prepare(problem, rough=rough))
 
 
-def _replay_controller(view: View, path: Path, reporter: Reporter) -> Controller:
+def _replay_controller(path: Path, inputs: Inputs, settings: Settings, reporter: Reporter) -> Controller:
     """Load the grasp of a replay, with its motion."""
     replay = load_replay(path)
-    loader = Loader(view.inputs, view.settings.seed, reporter.say)
-    hand = loader.hands.load(view.inputs.hand or replay.hand, None)
+    loader = Loader(inputs, settings.seed, reporter.say)
+    hand = loader.hands.load(inputs.hand or replay.hand, None)
     recording = replay_recording(hand, model_of(hand), replay)
     problem = loader.prepare(loader.of_grasps(_grasp_of(replay, recording, hand), path))
     # The grasp keeps the number that it had where it was simulated.
@@ -100,7 +115,7 @@ def _replay_controller(view: View, path: Path, reporter: Reporter) -> Controller
     if number is not None:
         groups = tuple(replace(group, index=np.array([int(number[1])])) for group in problem.groups)
         problem = replace(problem, groups=groups)
-    controller = Controller(Collection.of(problem), view.settings)
+    controller = Controller(Collection.of(problem), settings)
     controller.player.show(recording)
     return controller
 

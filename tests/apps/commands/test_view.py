@@ -27,8 +27,7 @@ from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands import view
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.settings import Settings
-from grasp_refine_apps.commands.view import View
-from grasp_refine_apps.commands.view_files import controller_of
+from grasp_refine_apps.commands.view_files import open_files
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from open_viewer import settled
 from running_processes import PATIENCE_S, soon
@@ -36,7 +35,7 @@ from running_processes import PATIENCE_S, soon
 
 def opened(*files: Path, inputs: Inputs | None = None) -> Controller:
     """What the files mean; closed, only its state is looked at."""
-    controller = controller_of(View(files=files, inputs=inputs or Inputs()))
+    controller = open_files(files, inputs or Inputs(), Settings())
     controller.close()
     return controller
 
@@ -131,7 +130,7 @@ def test_only_the_object_that_is_shown_is_cut(several: Path, monkeypatch: pytest
         return cut_meshes(meshes, *given, **options)
 
     monkeypatch.setattr(object_module, "cut_meshes", cut_and_note)
-    viewer = controller_of(View(files=(several / "grasps.npz",), inputs=Inputs(objects=several / "meshes")))
+    viewer = open_files((several / "grasps.npz",), Inputs(objects=several / "meshes"), Settings())
     try:
         assert done == ["one"] and len(viewer.state.collection) == 4
         viewer.editor.set_joint(0, 0.1)

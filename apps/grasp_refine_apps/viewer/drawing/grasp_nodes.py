@@ -111,8 +111,8 @@ class GraspNodes:
             controller.notify("; ".join(unread))
         self.root = scene.add_frame(GRASP_NODE, show_axes=False)
         self.hand = HandMeshes(scene, f"{GRASP_NODE}/hand", self.shapes, self._poses)
-        ghost_style = {"opacity": GHOST_OPACITY, "color": GHOST_COLOR, "shadow": False, "side": "front"}
-        self.ghost = HandMeshes(scene, f"{GRASP_NODE}/ghost", self.shapes, self._poses, **ghost_style)
+        self.ghost: HandMeshes | None = None
+        """The input hand or the compared one; None until it is shown first: pages wait for every mesh."""
         self.object_frame = scene.add_frame(f"{GRASP_NODE}/object", show_axes=False)
         self.object_shapes = object_shapes(obj, "pieces" if display.object == "pieces" else "mesh")
         self._surface = self.object_shapes[0] if display.object != "pieces" else object_shapes(obj, "mesh")[0]
@@ -170,13 +170,17 @@ class GraspNodes:
         self._shadow_of: tuple[bytes, ...] | None = None
         self.interaction = Interaction(scene, controller, self.prepared, self.hand, self.object, self.targets, length)
 
+    def draw_bodies(self, state: State) -> None:
+        """Update hand and object alone to a state, which pages show first."""
+        place(self.root, state.T_world_object)
+        self.hand.move(state.shown)
+        self.hand.show(state.shown.posed)
+        place(self.object_frame, state.T_shown_object)
+
     def draw(self, state: State) -> None:
         """Update all nodes to a state."""
         self.rests, shown = True, state.shown
-        place(self.root, state.T_world_object)
-        self.hand.move(shown)
-        self.hand.show(shown.posed)
-        place(self.object_frame, state.T_shown_object)
+        self.draw_bodies(state)
         self._draw_ghost(state)
         overlaps = self._overlaps_of(state) if self._display.surroundings else ()
         blocked, blocking = {overlap.link for overlap in overlaps}, {overlap.body for overlap in overlaps}
@@ -240,7 +244,15 @@ class GraspNodes:
         wanted = self._display.input_hand and not state.side_by_side if pose is None else True
         color, opacity = (GHOST_COLOR, GHOST_OPACITY) if pose is None else (COMPARED_COLOR, COMPARED_OPACITY)
         pose = state.initial if pose is None else pose
-        self.ghost.show(wanted and pose.posed and state.motion is None and not pose.same(state.shown))
+        seen = wanted and pose.posed and state.motion is None and not pose.same(state.shown)
+        if self.ghost is None:
+            if not seen:
+                return
+            self.ghost = HandMeshes(
+                self._scene, f"{GRASP_NODE}/ghost", self.shapes, self._poses, opacity=opacity, color=color,
+                shadow=False, side="front",
+            )  # fmt: skip
+        self.ghost.show(seen)
         self.ghost.move(pose)
         for node in self.ghost.nodes:
             node.color, node.opacity = color, opacity

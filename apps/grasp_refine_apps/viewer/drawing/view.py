@@ -70,8 +70,13 @@ class View:
         """Drawn contacts, for panels that report on them."""
         return None if self.nodes is None else self.nodes.contacts
 
-    def draw(self, state: State) -> None:
-        """Update the scene to a state; cameras follow hand and object, except those that users moved."""
+    def draw(self, state: State, *, bodies: bool = False) -> None:
+        """Update the scene to a state; cameras follow hand and object, except those that users moved.
+
+        Args:
+            state: The state.
+            bodies: Draw hand and object alone, which a new page shows first.
+        """
         scene, nodes = state.scene, self.nodes
         made = scene.hand, scene.object, state.display, scene.environment, scene.table
         grasp = state.collection.row, state.number
@@ -98,7 +103,7 @@ class View:
                 self._motion = state.motion
                 if state.motion is not None and state.motion.travels:
                     self._place_cameras(state, nodes, moved=True)
-            nodes.draw(state)
+            (nodes.draw_bodies if bodies else nodes.draw)(state)
         if not nodes.rests:
             self._later.cancel()
             self._later = Timer(1.1 * REST_S, self.redraw)

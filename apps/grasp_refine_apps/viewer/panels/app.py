@@ -50,8 +50,9 @@ class Viewer:
             if not self._free:
                 self._free.append(self.controllers[-1].for_another_page())
                 self.controllers += self._free
-            self.sessions[page.client_id] = Session(page, self._free.pop())
+            session = self.sessions[page.client_id] = Session(page, self._free.pop())
             self._drawn()
+        session.complete()
 
     def _leave(self, page: viser.ClientHandle) -> None:
         """Keep the controller of a closed page; nobody pulls any more, other jobs go on."""

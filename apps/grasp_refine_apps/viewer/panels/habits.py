@@ -52,33 +52,33 @@ class Habits:
         self,
         server: Site,
         controller: Controller,
-        commands: Mapping[str, Callable[[], object]],
         view: View,
         change_tab: Callable[[str], None],
-        placeholders: Callable[[], Mapping[str, str]],
-        brush: Callable[[str], None],
+        drawn: Callable[[], None],
     ) -> None:
         """Make the hidden widgets, in the container that is open.
 
         Args:
             server: The page.
             controller: Receiver of the commands on grasps.
-            commands: Commands of the panels: next, previous and play; must return at once.
             view: The scene, with the cameras of the pages.
             change_tab: Called with the lower-case title of a tab that was opened.
-            brush: Called with the measure and the places of a brush over its histogram.
-            placeholders: Texts in empty fields, by the ids of their widgets.
+            drawn: Called when the page shows hand and object.
         """
         self._controller, self._view, self._change_tab = controller, view, change_tab
-        self._placeholders, self._brush = placeholders, brush
+        self.placeholders: Callable[[], Mapping[str, str]] = dict
+        """Texts in empty fields, by the ids of their widgets; set by the panels."""
+        self.brush: Callable[[str], None] = lambda text: None
+        """Called with the measure and the places of a brush over its histogram; set by the panels."""
         self._fitted: set[int] = set()
-        self._commands: dict[str, Callable[[], object]] = {
-            **commands,
+        self.commands: dict[str, Callable[[], object]] = {
             "good": lambda: self._mark("good"),
             "bad": lambda: self._mark("bad"),
             "undo": controller.editor.undo,
             "redo": controller.editor.redo,
+            "drawn": drawn,
         }
+        """Commands by their names, must return at once; the panels add next, previous and play."""
         self._last = ""
         self.channel = server.gui.add_text("page", "", visible=False)
         self.page = server.gui.add_html("")
@@ -91,16 +91,16 @@ class Habits:
 
         self.channel.on_update(received)
         for name, (key, _, text) in KEYS.items():
-            if name in self._commands:
+            if name != "fit" and name not in VIEWS:
                 command = server.gui.add_command(text, description=f"Key {key}")
-                command.on_trigger(partial(_run, self._commands[name]))
+                command.on_trigger(partial(self._run, name))
 
     def receive(self, message: str, client: Any) -> None:
         """Do what a page sent; clients can send arbitrary text."""
         what, _, rest = message.partition(" ")
         value = rest.split(" ")[0]
-        if what in self._commands:
-            self._commands[what]()
+        if what in self.commands:
+            self.commands[what]()
         elif what == "open":
             number = self._controller.state.collection.find(unquote(value))
             if number is not None:
@@ -108,7 +108,7 @@ class Habits:
         elif what == "scheme":
             set_theme(client.gui, dark=value == "dark")
         elif what == "brush":
-            self._brush(rest)
+            self.brush(rest)
         elif what == "tab":
             self._change_tab(value)
         elif what == "moved":
@@ -124,11 +124,16 @@ class Habits:
             "grasp": state.collection.name(state.number),
             "number": state.number,
             "title": title(state.collection),
-            "placeholders": dict(self._placeholders()),
+            "placeholders": dict(self.placeholders()),
         }
         content = f'<div id="gr-page" hidden data-page="{escape(json.dumps(page))}"></div>'
         if self.page.content != content:
             self.page.content = content
+
+    def _run(self, name: str, event: object) -> None:
+        """Run a command of the palette."""
+        if name in self.commands:
+            self.commands[name]()
 
     def _mark(self, mark: Any) -> None:
         """Mark the shown grasp; once more: take the mark back."""
@@ -148,11 +153,6 @@ class Habits:
                 self._view.ready(client, aspect)
             else:
                 self._view.look(client, what, aspect)
-
-
-def _run(act: Callable[[], object], event: object) -> None:
-    """Run a command of the palette."""
-    act()
 
 
 def title(collection: Collection) -> str:

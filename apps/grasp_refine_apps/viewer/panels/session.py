@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import html
+from threading import Event, Lock
 from typing import Any
+
+import viser
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.hands.hand import Hand
@@ -39,6 +42,9 @@ PANELS = (
 """Titles and panels of the tabs."""
 
 
+PICTURE_S = 1.5
+"""Longest wait in seconds until a page shows hand and object."""
+
 GRASP_TABS = ("refine", "edit", "browse")
 """Tabs that end a replay: they show and change the grasp. Files and View also serve the replay."""
 
@@ -47,36 +53,35 @@ class Session:
     """Scene, heading and tabs of one page, or of all pages of a server, which show the state of a controller."""
 
     def __init__(self, site: Site, controller: Controller) -> None:
-        """Put scene and panels on the page, the scene first."""
+        """Put hand and object on the page; `complete` adds all else."""
         self.site, self.controller = site, controller
+        self.panels: list[Any] = []
+        self._drawers: tuple[Drawer, ...] = ()
+        self._pictured, self._changing, self._closed = Event(), Lock(), False
         self.view = View(site, controller)
-        self.view.draw(controller.state)
+        self.view.draw(controller.state, bodies=True)
+        self.habits = Habits(site, controller, self.view, self._change_tab, self._pictured.set)
+        self.habits.draw(controller.state)
+
+    def complete(self) -> None:
+        """Add panels and the rest of the scene once the page shows hand and object, which it would draw last."""
+        if isinstance(self.site, viser.ClientHandle):
+            self._pictured.wait(PICTURE_S)
+        with self._changing:
+            if not self._closed:
+                self._add_panels(self.site, self.controller)
+
+    def _add_panels(self, site: Site, controller: Controller) -> None:
         # No browser should show buttons that cannot be used yet.
         with site.atomic(), icons_opened():
             self._heading = site.gui.add_html("")
             self.banner = Banner(site.gui)
             tabs = site.gui.add_tab_group()
-            self.panels: list[Any] = []
             # The first tab is open at first: a replay is played on its own.
             replayed = controller.state.motion is not None
             for title, kind in sorted(PANELS, key=lambda panel: replayed and panel[0] != "Validate"):
                 with tabs.add_tab(title):
                     self.panels.append(kind(site, controller))
-            panels = {kind: panel for panel in self.panels for kind in [type(panel)]}
-            browse, refine = panels[BrowsePanel], panels[RefinePanel]
-            self.habits = Habits(
-                site,
-                controller,
-                {
-                    "next": lambda: browse.go(NEXT),
-                    "previous": lambda: browse.go(PREVIOUS),
-                    "play": lambda: self._play(refine, panels[ValidatePanel]),
-                },
-                self.view,
-                self._change_tab,
-                refine.form.placeholders,
-                browse.brush,
-            )
             draws = (
                 self._draw_heading,
                 self.habits.draw,
@@ -95,14 +100,24 @@ class Session:
         for drawer in self._drawers:
             controller.listen(drawer.draw)
         self.view.redraw = lambda: self._drawers[0].draw(controller.state)
+        panels = {type(panel): panel for panel in self.panels}
         panels[ExportPanel].settle = self._drawers[0].settle
         panels[DisplayPanel].look, panels[DisplayPanel].cut = self.view.look, self.view.cut
+        browse, refine, validate = panels[BrowsePanel], panels[RefinePanel], panels[ValidatePanel]
+        self.habits.brush, self.habits.placeholders = browse.brush, refine.form.placeholders
+        self.habits.commands |= {
+            "next": lambda: browse.go(NEXT),
+            "previous": lambda: browse.go(PREVIOUS),
+            "play": lambda: self._play(refine, validate),
+        }
         # What changed since the first drawing.
         for drawer in self._drawers:
             drawer.draw(controller.state)
 
     def close(self) -> None:
         """Draw no more; the controller lives on."""
+        with self._changing:
+            self._closed = True
         for drawer in self._drawers:
             self.controller.unlisten(drawer.draw)
         self.view.close()

@@ -261,9 +261,14 @@ def test_hands_that_lift_stay_in_the_picture(view: View, viewer: Controller) -> 
     assert np.linalg.norm(away) < 5.0
 
 
+def has_ghost(view: View) -> bool:
+    """Whether the input hand is drawn."""
+    return view.nodes.ghost is not None and view.nodes.ghost.nodes[0].visible
+
+
 def test_scrubbing_moves_the_hand_and_the_ghost_stays(view: View, viewer: Controller) -> None:
-    ghost, initial = view.nodes.ghost, link_poses(viewer)
-    assert not ghost.nodes[0].visible
+    initial = link_poses(viewer)
+    assert not has_ghost(view)
     viewer.refinement.start()
     settled(viewer)
     for frame, moved in ((None, True), (5, True), (0, False)):
@@ -271,6 +276,7 @@ def test_scrubbing_moves_the_hand_and_the_ghost_stays(view: View, viewer: Contro
         view.draw(viewer.state)
         T = link_poses(viewer)
         assert (np.linalg.norm((T[TIP] - initial[TIP])[:3, 3]) > 1e-3) == moved
+        ghost = view.nodes.ghost
         for shape, node, copy in zip(ghost.shapes, view.nodes.hand.nodes, ghost.nodes, strict=True):
             np.testing.assert_allclose(pose(node), T[shape.link], atol=1e-7)
             np.testing.assert_allclose(pose(copy), initial[shape.link], atol=1e-7)
@@ -282,13 +288,13 @@ def test_side_by_side_the_input_grasp_has_an_object_of_its_own(view: View, viewe
     viewer.set(side_by_side=True)
     view.draw(viewer.state)
     nodes = view.nodes
-    assert nodes.input_frame.visible and not nodes.ghost.nodes[0].visible
+    assert nodes.input_frame.visible and not has_ghost(view)
     apart = pose(nodes.input_frame)[:3, 3] - ASIDE[:3, 3]
     across = np.array(view.server.initial_camera.look_at) - np.array(view.server.initial_camera.position)
     assert np.linalg.norm(apart) > 0.1 and apart @ np.cross(across, [0.0, 0.0, 1.0]) < 0, "to the left"
     viewer.set(side_by_side=False)
     view.draw(viewer.state)
-    assert not nodes.input_frame.visible and nodes.ghost.nodes[0].visible
+    assert not nodes.input_frame.visible and has_ghost(view)
 
 
 def test_clicks_on_a_link_and_on_the_object_set_a_target_on_both_surfaces(view: View, viewer: Controller) -> None:
@@ -407,7 +413,7 @@ def test_a_simulation_moves_the_object_and_shows_the_push(
         np.testing.assert_allclose(points, motion.contacts[frame], atol=1e-6)
         np.testing.assert_allclose(pose(nodes.object_frame), viewer.state.T_shown_object, atol=1e-6)
     assert len(motion.contacts[0]) == 0 < max(map(len, motion.contacts))
-    assert not nodes.ghost.nodes[0].visible and not nodes.points_link.nodes
+    assert not has_ghost(view) and not nodes.points_link.nodes
     # From the middle of the object along the axis of its frame in which it was pushed at the start.
     ((start, end),) = nodes.push.node.points
     np.testing.assert_allclose((end - start) / np.linalg.norm(end - start), [0.0, 0.0, 1.0], atol=1e-5)

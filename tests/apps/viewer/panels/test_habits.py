@@ -29,6 +29,7 @@ def viewer(problem: Problem, server: Any, tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.chdir(tmp_path)  # where marks of the example are kept
     made = controller(problem)
     opened = Session(server, made)
+    opened.complete()
     yield opened
     opened.close()
     made.close()
