@@ -7,6 +7,9 @@ from collections.abc import Sequence
 THIN_SPACE = "\u202f"
 """Thousands separator: a thin space that does not break lines."""
 
+MAX_NAMED = 6
+"""Most names of one kind in a note."""
+
 
 def whole(number: int) -> str:
     """Number with separated thousands: 12 345."""
@@ -21,3 +24,8 @@ def count_text(number: int, noun: str, plural: str | None = None) -> str:
 def first_of(texts: Sequence[str], most: int) -> list[str]:
     """The first texts, at most so many, and how many others there are: a, b, and 3 more."""
     return [*texts[:most], *([f"and {len(texts) - most} more"] if len(texts) > most else [])]
+
+
+def names_text(names: Sequence[str]) -> str:
+    """Names for a note, of many the first: a, b, c, d, e, f, and 30 more."""
+    return ", ".join(first_of(names, MAX_NAMED))

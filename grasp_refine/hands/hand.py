@@ -14,7 +14,7 @@ from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.core.errors import HandError, MeshError
 from grasp_refine.core.names import expand_user
-from grasp_refine.core.plurals import count_text
+from grasp_refine.core.plurals import count_text, names_text
 from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
@@ -376,7 +376,8 @@ def load_hand(
     left_out = tree.links.keys() - {link.name for link in links}
     touching, guessed, about_contacts = contacts(toml, solids, joints, left_out, closing, folded)
     notes += [*about_contacts, *narrowed, *meshes.notes()]
-    notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
+    still = [joint.name for joint in independent if joint.lower == joint.upper]
+    notes += [f"no movement by joints with equal limits: {names_text(still)}"] * bool(still)
     modes: tuple[YieldingMode, ...] = ()
     compliance = None
     if from_mjcf and couplings is not None:  # a URDF may have other frames than the bodies of an MJCF

@@ -14,6 +14,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from grasp_refine.core.errors import AssetError, MeshError
 from grasp_refine.core.names import is_folder
 from grasp_refine.geometry.mesh import SUFFIXES, FlatMeshError, load_groups, load_mesh, watertight
@@ -31,8 +33,9 @@ SURFACE = Path("mesh", "simplified.obj")
 GROUPS = Path("coacd", "decomposed.obj")
 """All convex pieces in the folder of an object of DexGraspNet."""
 
-MAX_HULL_EXCESS = 0.02
-"""Share of a convex piece's volume by which its hull may exceed it without a note."""
+MAX_HULL_EXCESS, MAX_PIECE_EXCESS = 0.02, 0.25
+"""Share of a convex piece's volume by which its hull may exceed it without a note, and at most where only meshes in a
+folder say that they are convex pieces: beyond, they are rather the whole object, such as of YCB."""
 
 
 def find_object(name: str, folder: str | Path) -> Path:
@@ -70,11 +73,18 @@ def given_pieces(folder: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[s
     """The convex pieces in the folder of an object, times `scale`, in the order of their names; notes about them.
 
     Raises:
-        MeshError: it has no meshes, all are flat, or one cannot be read: without it the object would have a gap.
+        MeshError: it has no meshes, all are flat, one is far from convex where no layout says that it is a piece, or
+            one cannot be read: without it the object would have a gap.
     """
     pieces, notes, names = [], [], []
+    most = np.inf if _meshes(folder / PIECES) or (folder / GROUPS).is_file() else MAX_PIECE_EXCESS
     for name, mesh in _solids(folder, scale):
-        piece, note = _piece(name, mesh)
+        piece, note, excess = _piece(name, mesh)
+        if excess > most:
+            raise MeshError(
+                f"{folder}: is no folder of convex pieces, the hull of {name} has {excess:.1%} more volume; give the "
+                f"mesh of the object instead: {_listing(_meshes(folder))}"
+            )
         names.append(name)
         pieces += [piece] if piece is not None else []
         notes += [note] if note is not None else []
@@ -119,22 +129,25 @@ def _solids(folder: Path, scale: float) -> Iterator[tuple[str, trimesh.Trimesh |
             yield path.name, None
 
 
-def _piece(name: str, mesh: trimesh.Trimesh | None) -> tuple[Piece | None, str | None]:
-    """The hull of a mesh, None if that is flat; and a note for the user, if there is one."""
+def _piece(name: str, mesh: trimesh.Trimesh | None) -> tuple[Piece | None, str | None, float]:
+    """The hull of a mesh, None if that is flat; a note for the user, if there is one; share of volume it exceeds by.
+
+    The share is 0 where the volume of the mesh is not known.
+    """
     try:
         piece = None if mesh is None else hull(mesh.vertices, name=name)
     except FlatMeshError:
         piece = None
     if mesh is None or piece is None:
-        return None, f"{name}: flat; dropped"
+        return None, f"{name}: flat; dropped", 0.0
     try:
         volume = watertight(mesh, name)[0].volume
     except MeshError:
-        return piece, f"{name}: not watertight, so not known to be convex; its hull is used"
+        return piece, f"{name}: not watertight, so not known to be convex; its hull is used", 0.0
     excess = piece.mesh().volume / volume - 1
     if excess > MAX_HULL_EXCESS:
-        return piece, f"{name}: not convex; its hull is used, which has {excess:.1%} more volume"
-    return piece, None
+        return piece, f"{name}: not convex; its hull is used, which has {excess:.1%} more volume", excess
+    return piece, None, excess
 
 
 def _has_pieces(folder: Path) -> bool:

@@ -66,11 +66,13 @@ def closure_frame(hand: Hand) -> ClosureFrame:
     left out.
 
     Raises:
-        HandError: no joint of the hand moves a link that is meant to touch.
+        HandError: no joint of the hand moves a link that is meant to touch, or none within its limits.
     """
     fingers = _fingers(hand)
     if not fingers:
-        raise HandError(f"hand '{hand.name}' cannot grip: none of its joints moves a link that is meant to touch")
+        raise HandError(
+            f"hand '{hand.name}' cannot grip: none of its joints moves a link that is meant to touch, within its limits"
+        )
     palm, facing = _palm(hand)
 
     def tips(q: np.ndarray) -> np.ndarray:
@@ -126,10 +128,12 @@ def _fingers(hand: Hand) -> list[tuple[list[int], list[Joint]]]:
     groups: dict[str, list[int]] = {}
     for i, contact in enumerate(hand.contacts):
         groups.setdefault(contact.group, []).append(i)
+    matrix, _, names = hand.mimic_map()
+    ranged = {name for name, gains in zip(names, matrix, strict=True) if gains[hand.lower < hand.upper].any()}
     fingers = []
     for contacts in groups.values():
         above = joints_above(hand.contacts[contacts[0]].link, hand.joints)
-        fingers.append((contacts, [joint for joint in above if joint.movable]))
+        fingers.append((contacts, [joint for joint in above if joint.movable and joint.name in ranged]))
     carrying = [{joint.name for joint in path} for _, path in fingers if path]
     wrist = set.intersection(*carrying) if len(carrying) > 1 else set()
     own = [(contacts, [joint for joint in path if joint.name not in wrist]) for contacts, path in fingers]

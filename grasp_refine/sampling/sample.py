@@ -157,6 +157,7 @@ def sample_grasps(
         raise GraspRefineError(
             f"no grasp of hand '{hand.name}' on object '{obj.name}'{among} was found in {tried} tries: the object is "
             f"{' x '.join(f'{side:.2g}' for side in high - low)} m large, the hand opens {closure.opening:.2g} m wide"
+            f"{_why_none(closing, draw())}"
         )
     best = _choose_distinct(join(*found), closure, count)
     return GraspSet(
@@ -201,15 +202,28 @@ class _Scored(Placed):
     """Score (M,) without unit; lower is better."""
 
 
-def _score(closing: _Closing, hands: Placed) -> _Scored:
-    """The hands that grasp, with their scores."""
+def _why_none(closing: _Closing, hands: Placed) -> str:
+    """Shares of closed hands that hold with too few fingers, or overlap themselves; "" where all hands do neither."""
+    if not len(hands.q):
+        return "; open hands find no place beside it without collision"
+    _, groups, own, _ = _closed(closing, hands)
+    few, in_itself = (groups < 2).mean(), (own < -MAX_DEPTH_M).mean()
+    reasons = [f"{few:.0%} of closed hands touch it with fewer than two fingers"] * bool(few)
+    reasons += [f"links overlap each other in {in_itself:.0%}"] * bool(in_itself)
+    help_ = "; an open rest pose, and contact links, may be named in a hand.toml"
+    return "".join(f"; {reason}" for reason in reasons) + help_ * bool(reasons)
+
+
+def _closed(
+    closing: _Closing, hands: Placed
+) -> tuple[_Proximity, Int[np.ndarray, " M"], Float[np.ndarray, " M"], Float[np.ndarray, " M"]]:
+    """Distances of hands from all; groups of links that touch; least distance (m) of links; largest miss (m)."""
     prepared, links = closing.prepared, links_of(closing.prepared.hand)
     proximity = closing.proximity(hands, CUTOFF_M)
-    deepest = proximity.gap.min(axis=1)
+    own = np.full(len(hands.q), np.inf)
     if prepared.self_collision_pairs is not None:
         T, (first, second) = proximity.frames.T_world_link, prepared.self_collision_links
-        own = query(prepared.self_collision_pairs, T[:, first], T[:, second], cutoff=0.0)
-        deepest = np.minimum(deepest, own.distance.min(axis=1))
+        own = query(prepared.self_collision_pairs, T[:, first], T[:, second], cutoff=0.0).distance.min(axis=1)
     group = np.array(link_groups(prepared.hand, links))
     touching = proximity.witness.distance <= CONTACT_DISTANCE_M
     worst = np.zeros(len(touching))
@@ -217,6 +231,14 @@ def _score(closing: _Closing, hands: Placed) -> _Scored:
         miss = contact_misses(closing.regions, proximity.witness)
         touching, worst = touching & (miss == 0.0), miss.max(axis=1)
     groups = np.stack([touching[:, group == name].any(axis=1) for name in dict.fromkeys(group)]).sum(axis=0)
+    return proximity, groups, own, worst
+
+
+def _score(closing: _Closing, hands: Placed) -> _Scored:
+    """The hands that grasp, with their scores."""
+    prepared, links = closing.prepared, links_of(closing.prepared.hand)
+    proximity, groups, own, worst = _closed(closing, hands)
+    deepest = np.minimum(proximity.gap.min(axis=1), own)
     good = np.flatnonzero((groups >= 2) & (deepest >= -MAX_DEPTH_M))
     good = good[closing.is_free(proximity.frames.T_world_link[good])]
     geometry = proximity.witness.rows(good), proximity.frames.T_world_link[good], prepared.faces

@@ -76,6 +76,12 @@ def test_help_is_instant_and_only_what_needs_torch_loads_it():
     assert all(f"  {name} " in result.stdout for name in COMMANDS)
 
 
+def test_the_package_runs_as_the_command_does():
+    command = [sys.executable, "-m", "grasp_refine_apps", "--version"]
+    result = subprocess.run(command, capture_output=True, text=True, env=subprocess_environment())
+    assert result.stdout.startswith("refine-grasp ") and result.returncode == 0
+
+
 @pytest.mark.parametrize(
     ("words", "unknown", "suggested"),
     [

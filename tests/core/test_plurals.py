@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from grasp_refine.core.plurals import count_text, whole
+from grasp_refine.core.plurals import count_text, names_text, whole
 
 
 def test_a_noun_is_in_the_plural_but_for_one():
@@ -14,3 +14,7 @@ def test_a_noun_is_in_the_plural_but_for_one():
 def test_thousands_are_apart():
     assert whole(999) == "999" and whole(1_234_567) == "1\u202f234\u202f567"
     assert count_text(12_345, "grasp") == "12\u202f345 grasps"
+
+
+def test_of_many_names_the_first_are_listed():
+    assert names_text(list("abc")) == "a, b, c" and names_text(list("abcdefg")) == "a, b, c, d, e, f, and 1 more"

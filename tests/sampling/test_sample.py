@@ -1,5 +1,6 @@
 """Sampled grasps touch with two groups of links, are deep in nothing, and differ; the seed says which they are."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -139,3 +140,17 @@ def test_what_has_no_fingers_cannot_grip(tmp_path: Path, box: Object):
     path.write_text(f'<robot name="block"><link name="palm">{PLATE}</link></robot>')
     with refused(HandError, "block"):
         sample_grasps(load_hand(path, candidates=16), box, 1)
+
+
+def test_joints_with_equal_limits_cannot_grip(tmp_path: Path, box: Object):
+    """SolidWorks exports all limits as 0."""
+    path = tmp_path / "still.urdf"
+    path.write_text(re.sub(r'lower="[^"]*" upper="[^"]*"', 'lower="0" upper="0"', URDF))
+    with refused(HandError, "still", "limits"):
+        sample_grasps(load_hand(path, candidates=16), box, 1)
+
+
+def test_why_no_grasp_was_found_is_said(gripper: Hand):
+    """Closed jaws leave 3 cm between them."""
+    with refused(GraspRefineError, "fewer than two fingers", "hand.toml"):
+        sample_grasps(gripper, load_object("box:0.01,0.01,0.02", candidates=64), 1)

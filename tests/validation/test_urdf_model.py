@@ -232,7 +232,7 @@ OF_BALL = [0.4 * 1e-4] * 3
         ('<inertial><mass value="0.5"/></inertial>', "none above 0", 0.5, OF_BALL),
         (weight(0.12, 1e-5, 1e-5, 1e-5) + BALL, "denser than steel", 0.12, [1e-5 / 0.12] * 3),
         (weight(0.03, 1, 1, 1) + BALL, "far outside", 0.03, OF_BALL),
-        ("", "b weighs 1 g", 1e-3, [1e-3] * 3),
+        ("", "1 g assumed", 1e-3, [1e-3] * 3),
     ],
 )
 def test_masses_that_cannot_be_are_repaired(
@@ -253,7 +253,7 @@ def test_what_is_fixed_to_a_link_weighs_for_it(tmp_path: Path) -> None:
         tmp_path, links, joint("j", "a", "b"), joint("f", "b", "c", "fixed", ""), joint("g", "a", "d", "fixed", "")
     )
     made = urdf_model(hand)
-    assert made.notes == ("a weighs 1 g: the URDF gives neither mass nor geometry",)
+    assert made.notes == ("1 g assumed, as the URDF gives neither mass nor geometry: a",)
     model = made.spec.compile()
     assert [model.body(name).mass[0] for name in "abcd"] == [1e-3, 0, 0.2, 0]
 

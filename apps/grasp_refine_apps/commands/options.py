@@ -107,7 +107,7 @@ def _sorted_choices(found: re.Match[str]) -> str:
 
 def _grasps_hint(complaint: str, command: type[Any]) -> str:
     """Return a hint how a grasp file is given, if a word without an option looks like one."""
-    word = complaint.removeprefix(_UNRECOGNIZED).split()[0] if complaint.startswith(_UNRECOGNIZED) else "-"
+    word = complaint.removeprefix(_UNRECOGNIZED).split()[0].rstrip(",") if complaint.startswith(_UNRECOGNIZED) else "-"
     return "" if word.startswith("-") or not _has_option(command, "grasps") else f"; perhaps --grasps {word}"
 
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from grasp_refine.core.errors import HandError
-from grasp_refine.core.plurals import count_text
+from grasp_refine.core.plurals import count_text, names_text
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.files.description import joints_fixed_and_mimicking, links_with_visuals
@@ -146,9 +146,12 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
     endless = [j.name for j in independent if j.kind == "continuous"]
     fixed = [name for name in joints_fixed_and_mimicking(hand.urdf) if name in hand.joints_by_name]
     mass = sum(link.mass or 0.0 for link in hand.links)
-    limit = "forcerange in the MJCF" if hand.mjcf == hand.urdf else "force_limit in hand.toml"
+    from_mjcf = hand.mjcf == hand.urdf
+    limit = "forcerange in the MJCF" if from_mjcf else "force_limit in hand.toml"
+    visuals = "give their geoms a contype" if from_mjcf else "--collision visual uses their visuals"
     found = {
-        "no joint moves: there is nothing to refine but the pose of the palm": [""] * (not independent),
+        "no joint moves: there is nothing to refine but the pose of the palm": [""]
+        * all(j.lower == j.upper for j in independent),
         f"no effort limit for {{}}: they push as hard as their error times kp; set {limit}": unlimited,
         f"no joint of a hand is as strong as {{}}, beyond {MAX_TORQUE_NM:g} Nm or {MAX_FORCE_N:g} N: nothing limits "
         f"how hard they push; set {limit}": [f"{name} ({value:g})" for name, value in strong.items()],
@@ -157,11 +160,10 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
             name for name in turning if name not in endless
         ],
         "{} can slide more than a metre: are the limits millimetres? They must be metres": far,
-        "{} are continuous joints and rest at 0": endless,
-        "{} are fixed though they mimic a joint: they do not move": fixed,
-        "{} have visuals but no collision geometry: nothing keeps them out of the object; --collision visual uses "
-        "their visuals": unseen,
-        "{} move no link with collision geometry": _idle_joints(hand),
+        "continuous joints, which rest at 0: {}": endless,
+        "fixed though mimic joints, so that they do not move: {}": fixed,
+        f"nothing keeps links with visuals but without collision geometry out of the object: {{}}; {visuals}": unseen,
+        "no link with collision geometry is moved by {}": _idle_joints(hand),
         f"the hand is {max(size, default=0):.3g} m large: are the meshes millimetres? Lengths are metres, a mesh has a "
         "scale": [""] * bool(size and max(size) > SIZE_RANGE_M[1]),
         f"the hand is only {max(size, default=0) * 1e3:.3g} mm large: is a mesh's scale wrong?": [""]
@@ -171,7 +173,7 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
     }
     files = [hand.urdf] + ([hand.mjcf] if hand.mjcf not in (None, hand.urdf) else [])
     faults = [fault for file in files for fault in file_faults(file)]
-    return [text.format(", ".join(names)) for text, names in found.items() if names] + faults
+    return [text.format(names_text(names)) for text, names in found.items() if names] + faults
 
 
 def _idle_joints(hand: Hand) -> list[str]:

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from grasp_refine.core.array_types import Float
+from grasp_refine.core.plurals import names_text
 from grasp_refine.core.se3 import quaternion_from_matrix
 from grasp_refine.hands.files.inertia import DENSITY, Inertia
 from grasp_refine.hands.files.mimics import Curves
@@ -217,12 +218,12 @@ def _add_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody, link: Link) -> bool:
 def _add_masses(hand: Hand, parts: Parts, bodies: Mapping[str, mujoco.MjsBody]) -> list[str]:
     """Set mass and inertia of the bodies; return notes on repairs."""
     kinds: dict[str, list[str]] = {
-        f"mass and inertia of {{}} assume solid pieces of {DENSITY:g} kg/m^3: the URDF gives no mass": [],
-        "inertia of {} follows from mass and geometry, or is that of a sphere of 1 cm: the URDF gives none above 0": [],
-        "inertia of {} follows from mass and geometry: that of the URDF needs matter far outside of the link": [],
-        "inertia of {} balanced: its principal moments broke the triangle inequality": [],
-        "{} denser than steel: the URDF gives them more mass than they can have, which slows the simulated hand": [],
-        f"{{}} weighs {DEFAULT_INERTIA.mass * 1e3:g} g: the URDF gives neither mass nor geometry": [],
+        f"mass and inertia of solid pieces of {DENSITY:g} kg/m^3, as the URDF gives no mass: {{}}": [],
+        "inertia from mass and geometry, or of a sphere of 1 cm, as the URDF gives none above 0: {}": [],
+        "inertia from mass and geometry, as that of the URDF needs matter far outside of the link: {}": [],
+        "inertia balanced, as its principal moments broke the triangle inequality: {}": [],
+        "denser than steel by the mass in the URDF, which slows the simulated hand: {}": [],
+        f"{DEFAULT_INERTIA.mass * 1e3:g} g assumed, as the URDF gives neither mass nor geometry: {{}}": [],
     }
     without_mass, without_moments, too_wide, unbalanced, too_dense, without_all = kinds.values()
     weighed = set()
@@ -251,7 +252,7 @@ def _add_masses(hand: Hand, parts: Parts, bodies: Mapping[str, mujoco.MjsBody]) 
         if first not in weighed:
             without_all.append(first)
             _set_inertia(bodies[first], DEFAULT_INERTIA)
-    return [note.format(", ".join(links)) for note, links in kinds.items() if links]
+    return [note.format(names_text(links)) for note, links in kinds.items() if links]
 
 
 def _reach(link: Link, centre: Float[np.ndarray, " 3"]) -> float:
