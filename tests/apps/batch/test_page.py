@@ -88,6 +88,7 @@ def test_the_page_is_whole_and_fetches_nothing():
     assert checked.tags["svg"] == len(CHARTED) and checked.tags["img"] == 2
 
 
+@pytest.mark.usefixtures("without_charts")
 def test_counts_are_as_in_the_statistics():
     found = some(
         made_up_rows(
@@ -125,6 +126,7 @@ def headline(**columns: Any) -> str:
     return words_of(re.findall("<li.*?</li>", page(document(), some(rows), ()), re.S)[0])
 
 
+@pytest.mark.usefixtures("without_charts")
 def test_the_largest_message_is_what_changed_most():
     assert headline().startswith("no change"), "although 100 % hold, before and after"
     gap = np.linspace(0.010, 0.014, 8)
@@ -144,6 +146,7 @@ def test_the_page_stays_small_whatever_failed():
     assert len(html) < 230_000 and f"{5000 - MAX_KINDS} more" in words_of(html)
 
 
+@pytest.mark.usefixtures("without_charts")
 def test_names_and_messages_cannot_become_html():
     bad = "<script>alert(1)</script>"
     html = page(

@@ -20,13 +20,14 @@ import pytest
 from command_line import PROGRAM, interruptible, refused, subprocess_environment
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.atomic_files import half_written_path
-from grasp_refine_apps.batch import worst
+from grasp_refine_apps.batch import page, worst
 from grasp_refine_apps.batch.session import MAX_UNWRITTEN
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.batch.work import BundleWork
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands import batch as command
 from grasp_refine_apps.processes.task import Failed
+from grasp_refine_apps.report import drawing
 from refusals import assert_names
 from running_processes import PATIENCE_S, nothing_left, soon
 
@@ -103,9 +104,12 @@ def here(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def few_pictures() -> Iterator[None]:
+def plain_reports() -> Iterator[None]:
+    """Few pictures, from one side, and no charts: these take a second to draw, and have tests of their own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(worst, "NUM_CASES", 1)
+        patch.setattr(drawing, "SIDES", drawing.SIDES[:1])
+        patch.setattr(page, "chart", lambda *_: "")
         yield
 
 
@@ -146,6 +150,7 @@ def test_every_grasp_is_in_one_result_file_and_in_the_index(whole: Path, sources
     assert (whole / "report.html").read_text().count("<img") >= 2
 
 
+@pytest.mark.usefixtures("here")
 def test_grasps_are_refined_and_described_as_run_does(sources: Path, tmp_path: Path):
     settings = ("--starts", "1", "--iterations", "12", "--confidence", "0.1")
     bottle, out = sources / "example_bottle.npz", tmp_path / "out"

@@ -30,6 +30,7 @@ def commands(path: str) -> list[list[str]]:
     return [shlex.split(unescape(text)) for text in found]
 
 
+@pytest.mark.usefixtures("one_side")
 def test_pages_of_a_refinement_and_of_validations(workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("pages").mkdir()
     grasps = ("--index", "1", "3")

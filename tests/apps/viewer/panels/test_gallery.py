@@ -53,6 +53,7 @@ def test_pictures_of_a_page_are_drawn_and_an_edited_grasp_anew(viewer: Controlle
     thumbnails.close()
 
 
+@pytest.mark.usefixtures("one_side")
 def test_a_click_on_a_picture_opens_its_grasp_and_its_mark_is_below(
     shown: tuple[BrowsePanel, Page], viewer: Controller, problem: Problem
 ) -> None:
