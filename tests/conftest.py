@@ -65,6 +65,15 @@ def plain_terminal() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def loaded_once() -> Iterator[None]:
+    """Parts of hands and objects that many tests load are computed once."""
+    from remembered import remembered  # later than the hook that checks annotations
+
+    with remembered():
+        yield
+
+
 @pytest.fixture(params=["native", "python"])
 def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Engine that "auto" stands for: one after the other; skips where the compiled one is not available."""

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from command_line import call
 from grasp_refine.assets.hub import hub_dataset
 from grasp_refine.core.errors import AssetError
+from grasp_refine_apps.cli import main
 from refusals import refused
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
@@ -43,29 +43,27 @@ def add(hub: Path, name: str, card: str) -> None:
         (snapshot / path).symlink_to(blobs / f"{number:040x}")
 
 
-def test_open_grasps_are_read_by_name(hub: Path):
+def test_open_grasps_are_read_by_name(hub: Path, capfd: pytest.CaptureFixture[str]):
     add(hub, "someone/grasps", CARD.format("cc-by-4.0"))
-    done = call("convert", "hf://someone/grasps/grasps", "out.npz", "--to", "ours")
-    assert done.returncode == 0, done.stderr
-    assert "cc-by-4.0 (open)" in done.stderr
+    assert main(["convert", "hf://someone/grasps/grasps", "out.npz", "--to", "ours"]) == 0
+    assert "cc-by-4.0 (open)" in capfd.readouterr().err
     with np.load("out.npz") as file:
         np.testing.assert_allclose(file["q"][:, 0], [0.5, 0.7])
-    done = call("assets", "fetch", "hf://someone/grasps", "--json", "facts.json")
-    assert done.returncode == 0, done.stderr
+    assert main(["assets", "fetch", "hf://someone/grasps", "--json", "facts.json"]) == 0
     facts = json.loads(Path("facts.json").read_text())["assets"][0]
     assert facts["terms"] == "open" and Path(facts["path"]).name == COMMIT
 
 
-def test_a_licence_that_restricts_use_is_asked_for_once(hub: Path):
+def test_a_licence_that_restricts_use_is_asked_for_once(hub: Path, capfd: pytest.CaptureFixture[str]):
     add(hub, "someone/research", CARD.format("cc-by-nc-4.0"))
     words = ("convert", "hf://someone/research/grasps/mine.toml", "out.npz", "--to", "ours")
-    done = call(*words)
-    assert done.returncode == 2
-    assert "cc-by-nc-4.0" in done.stderr and "assets fetch hf://someone/research --accept-license" in done.stderr
-    assert call("assets", "fetch", "hf://someone/research").returncode == 2
-    done = call("assets", "fetch", "hf://someone/research", "--accept-license")
-    assert done.returncode == 0 and "cc-by-nc-4.0 (non-commercial)" in done.stdout
-    assert call(*words).returncode == 0
+    assert main([*words]) == 2
+    said = capfd.readouterr().err
+    assert "cc-by-nc-4.0" in said and "assets fetch hf://someone/research --accept-license" in said
+    assert main(["assets", "fetch", "hf://someone/research"]) == 2
+    assert main(["assets", "fetch", "hf://someone/research", "--accept-license"]) == 0
+    assert "cc-by-nc-4.0 (non-commercial)" in capfd.readouterr().out
+    assert main([*words]) == 0
 
 
 @pytest.mark.parametrize(

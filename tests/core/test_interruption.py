@@ -130,7 +130,9 @@ Batch.step = endless
 @pytest.mark.parametrize("number", [signal.SIGHUP])
 def test_in_the_midst_of_a_simulation(start: Starter, number: signal.Signals):
     """An interruption once waited for the end of what C++ had been told to simulate."""
-    process = start(ENDLESS_SIMULATION, "run", "--object", "rounded_box", "--geometry-only", "--validate")
+    process = start(
+        ENDLESS_SIMULATION, "run", "--object", "rounded_box", "--index", "0", "--geometry-only", "--validate"
+    )
     assert begun(process, "simulating")
     ended(process, number)
     # Results are written before they are simulated.

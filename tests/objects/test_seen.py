@@ -48,16 +48,16 @@ def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_cloud_is_an_object_that_may_be_several_solids(there: Path):
-    obj = gr.load_object("scan.ply", seen_from=CORNER_VIEW, hypotheses=3)
+    obj = gr.load_object("scan.ply", seen_from=CORNER_VIEW, hypotheses=2)
     is_box(obj)
-    assert obj.name == "scan" and 1 < len(obj.hypotheses) <= 3
-    again = gr.load_object("scan.ply", seen_from="0.4,0.5,0.4", hypotheses=3)
+    assert obj.name == "scan" and len(obj.hypotheses) == 2
+    again = gr.load_object("scan.ply", seen_from="0.4,0.5,0.4", hypotheses=2)
     np.testing.assert_array_equal(again.mesh.vertices, obj.mesh.vertices)
     # In memory, and as a scan.
-    same = gr.load_object(points=cloud().astype(np.float32), seen_from=CORNER_VIEW, hypotheses=3, name="mine")
+    same = gr.load_object(points=cloud().astype(np.float32), seen_from=CORNER_VIEW, hypotheses=2, name="mine")
     np.testing.assert_allclose(same.mesh.bounds, obj.mesh.bounds, atol=1e-5)
     assert same.name == "mine" and same.record is None
-    is_box(gr.load_object(obj.scan, hypotheses=3))
+    is_box(gr.load_object(obj.scan, hypotheses=2))
 
 
 def test_what_is_recorded_of_a_scan_reads_it_again(there: Path):
@@ -68,16 +68,13 @@ def test_what_is_recorded_of_a_scan_reads_it_again(there: Path):
     assert [each.weight for each in again.hypotheses] == [each.weight for each in obj.hypotheses]
 
 
-@pytest.mark.parametrize("seed", [None, 0])
-def test_a_box_seen_from_the_front_has_a_thickness(seed: int | None):
+def test_a_box_seen_from_the_front_has_a_thickness():
     """Its mask says that the plane is no table."""
     pose = np.eye(4)
     pose[:3, 3] = 0, 0, -0.5
     depth = depth_of(trimesh.creation.box(SIZE_M), pose)
     mask = depth > 0
-    if seed is not None:
-        depth = with_noise(depth, seed)
-    obj = gr.load_object(scan_of_depth([depth], [mask], D435, [pose]), hypotheses=3)
+    obj = gr.load_object(scan_of_depth([with_noise(depth, 0)], [mask], D435, [pose]), hypotheses=3)
     low, high = obj.mesh.bounds
     np.testing.assert_allclose((low[:2], high[:2]), np.array([[-0.5], [0.5]]) * SIZE_M[:2], atol=0.004)
     assert low[2] == pytest.approx(-SIZE_M[2] / 2, abs=0.004) and 0.01 < high[2] - low[2] < 0.15

@@ -71,7 +71,11 @@ def test_grasps_on_an_arm_are_at_the_palms_of_the_hand_alone(problem: Problem) -
 
 def test_grasps_out_of_reach_have_a_status_and_no_measures() -> None:
     """A base 3 m away; simulated before and after refinement, they are out of reach there, too."""
-    found = gr.refine(gr.load_problem(spec(base="-3,0,0", grasps=Path("sample:2"))), config=CONFIG)
+    problem = gr.load_problem(spec(base="-3,0,0", grasps=Path("sample:2")))
+    (note,) = (note for note in problem.notes if note.startswith("grasp 0 out of reach"))
+    millimetres = float(note.split(" mm")[0].split()[-1])
+    assert 1500.0 < millimetres < 2500.0 and "degrees" in note, "how far the palm is from its place"
+    found = gr.refine(problem, config=CONFIG)
     trials = gr.simulate(found, "tabletop")
     for part in (trials.before, trials.after):
         assert (part.outcome == Reason.OUT_OF_REACH).all() and not part.success.any()
@@ -80,12 +84,8 @@ def test_grasps_out_of_reach_have_a_status_and_no_measures() -> None:
     assert "out of reach" in str(found)
 
 
-def test_grasps_out_of_reach_say_how_far_or_what_is_in_the_way(tmp_path: Path) -> None:
-    """From 3 m away the palm misses metres; a wall across the arm is met by one of its links, in all solutions."""
-    notes = gr.load_problem(spec(base="-3,0,0", grasps=Path("sample:2"))).notes
-    (found,) = (note for note in notes if note.startswith("grasp 0 out of reach"))
-    millimetres = float(found.split(" mm")[0].split()[-1])
-    assert 1500.0 < millimetres < 2500.0 and "degrees" in found
+def test_grasps_out_of_reach_say_what_is_in_the_way(tmp_path: Path) -> None:
+    """A wall across the arm is met by one of its links, in all solutions."""
     file = tmp_path / "walled.toml"
     file.write_text(
         '[object]\nname = "box:0.05,0.06,0.12"\n[[body]]\nname = "wall"\nbox = [0.02, 4.0, 4.0]\n'

@@ -104,7 +104,7 @@ def test_a_mesh_that_was_exported_anew_is_taken_with_a_note(result: Path):
 
 def test_other_pieces_of_the_same_mesh_are_noted(tmp_path: Path):
     (group,) = load_problem(ProblemSpec(hand="allegro", index=(0,))).groups
-    coarse = load_problem(ProblemSpec(hand="allegro", index=(0,), threshold=0.5)).groups
+    coarse = load_problem(ProblemSpec(hand="allegro", index=(0,), threshold=1.0)).groups
     save_npz(tmp_path / "r.npz", {"provenance": np.array(json.dumps({"objects": _plain(object_entries([group]))}))})
     assert not Recorded.of([tmp_path / "r.npz"]).check_objects([group], other=False)
     (note,) = Recorded.of([tmp_path / "r.npz"]).check_objects(coarse, other=False)

@@ -25,7 +25,7 @@ def refined() -> gr.RefinedGrasps:
     hand, scene = gr.load_hand("allegro"), gr.load_scene(NAME)
     assert scene.object is not None
     ball = gr.load_object(scene.object)
-    return gr.refine(hand, ball, gr.sample_grasps(hand, ball, 4, task=gr.Task(scene=scene)), task=gr.Task(scene=scene))
+    return gr.refine(hand, ball, gr.sample_grasps(hand, ball, 2, task=gr.Task(scene=scene)), task=gr.Task(scene=scene))
 
 
 def slack(scene: Scene, pose: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from grasp_refine.refinement.config import Config
 def test_only_weak_transfers_are_refined_again_without_targets(confidence: float, monkeypatch: pytest.MonkeyPatch):
     """Each is at least as good as with its targets, and the effort of both is counted."""
     problem = load_problem(ProblemSpec(hand="allegro", transfer_from="shadow", index=(0, 1)))
-    config, calls = Config(confidence=confidence), []
+    config, calls = Config(confidence=confidence, starts=2), []
     plain = module.refine_together
 
     def counted(groups, *arguments, **named):

@@ -114,8 +114,8 @@ def test_jaws_hold_from_both_sides(gripper: Hand, source: str):
 @pytest.mark.parametrize("urdf", ["shadow/shadow_right.urdf", "barrett/barrett.urdf"])
 def test_a_bare_urdf_will_do(shared_assets: Path, box: Object, urdf: str):
     hand = load_hand(shared_assets / "hands" / urdf, candidates=64)
-    grasps = sample_grasps(hand, box, 4)
-    assert len(grasps) == 4
+    grasps = sample_grasps(hand, box, 2)
+    assert len(grasps) == 2
     check(hand, box, grasps)
     assert any(len(groups - {PALM}) >= 3 for groups in groups_touching(hand, box, grasps))
 

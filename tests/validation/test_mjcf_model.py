@@ -110,11 +110,10 @@ def test_a_hand_that_begins_at_the_palm_keeps_its_forearm_rigid(shared_assets: P
     check_poses(hand, made, 1e-4)
 
 
-@pytest.mark.parametrize(("name", "other"), [("shadow", "leap"), ("allegro", "shadow")])
-def test_the_mjcf_of_another_hand_is_refused(name: str, other: str, shared_assets: Path) -> None:
-    _, hand, _ = facts(shared_assets, name)
-    with refused(HandError, name, hand.joint_names[0], "[mjcf_joints]"):
-        mjcf_model(hand, facts(shared_assets, other)[2])
+def test_the_mjcf_of_another_hand_is_refused(shared_assets: Path) -> None:
+    _, hand, _ = facts(shared_assets, "allegro")
+    with refused(HandError, "allegro", hand.joint_names[0], "[mjcf_joints]"):
+        mjcf_model(hand, facts(shared_assets, "leap")[2])
 
 
 # --- a hand of our own

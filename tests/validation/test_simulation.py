@@ -14,12 +14,13 @@ from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.scene.protocols.strict import STRICT
 from grasp_refine.scene.task import Task
+from grasp_refine.validation import simulation
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Stage
 from grasp_refine.validation.robustness import holds_without_squeeze
-from grasp_refine.validation.simulation import CHUNK_GRASPS, close, push, simulate
+from grasp_refine.validation.simulation import close, push, simulate
 from grasp_refine.validation.trials import Reason, Trials
 from gripper import KP, RADIUS, around, ball, gripper
 
@@ -153,12 +154,15 @@ def various(count: int, seed: int = 0) -> Motion:
     return Motion(T, q)
 
 
-def test_a_batch_equals_its_grasps_one_by_one_bit_for_bit_at_any_number_of_threads() -> None:
+def test_a_batch_equals_its_grasps_one_by_one_bit_for_bit_at_any_number_of_threads(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(simulation, "CHUNK_GRASPS", 8)
     world = build_world(gripper(), ball(), Task(STRICT))
-    motion = various(CHUNK_GRASPS + 3)
+    motion = various(8 + 3)
     together = simulate(world, motion, threads=2)
     again = simulate(world, motion, threads=1)
-    rows = [0, 1, CHUNK_GRASPS - 1, CHUNK_GRASPS, CHUNK_GRASPS + 2]
+    rows = [0, 7, 8, 10]
     single = Trials.join([simulate(world, motion.select(np.array([row])), threads=1) for row in rows])
     assert 0 < together.success.sum() < len(motion)
     for name in ("reason", "time_s", "displacement_m", "angle_rad", "contacts", "closing_m", "penetration_m"):

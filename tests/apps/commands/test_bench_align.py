@@ -75,9 +75,10 @@ def test_a_run_prints_a_table_and_writes_its_rows(capfd: pytest.CaptureFixture[s
 
 
 def test_the_same_seed_gives_the_same_document_but_for_times():
-    runs = [timeless(document(*TINY, "--methods", "distance", "zeroth-order")) for _ in range(2)]
+    drawn = (*TINY[:-1], "--methods", "zeroth-order")
+    runs = [timeless(document(*drawn)) for _ in range(2)]
     assert runs[0] == runs[1]
-    other = document(*TINY, "--methods", "distance", "zeroth-order", "--seed", "1")
+    other = document(*drawn, "--seed", "1")
     assert other["seed"] == 1
     assert timeless(other["rows"]) != runs[0]["rows"]
 

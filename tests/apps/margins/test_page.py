@@ -36,4 +36,4 @@ def test_the_page_has_charts_changes_and_names_as_text() -> None:
     assert "8 drawn worlds of seed 3" in text and "+8.3" in text and "a.npz" in text
     assert "cone" not in text
     one = page(["a.npz"], SIDES[:1], compared=False, seed=3)
-    assert "Changes" not in one and one == page(["a.npz"], SIDES[:1], compared=False, seed=3)
+    assert "Changes" not in one

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from command_line import call
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.grasps.formats import archives
 from grasp_refine.grasps.formats.reading import is_other, reading
+from grasp_refine_apps.cli import main
 from refusals import refused
 
 BOTTLE, CAN = "bench/core_bottle/grasp", "bench/core_can/grasp"
@@ -123,5 +123,5 @@ def test_a_compressed_archive_that_unpacks_to_far_more_is_refused(tmp_path: Path
 
 def test_the_command_line_takes_a_folder_of_an_archive(tmp_path: Path):
     path = archive(tmp_path / "grasps.tar", files())
-    call("convert", str(path / "bench/core_bottle"), str(tmp_path / "out.npz"), "--to", "ours")
+    assert main(["convert", str(path / "bench/core_bottle"), str(tmp_path / "out.npz"), "--to", "ours"]) == 0
     assert len(reading(tmp_path / "out.npz").grasps) == 2

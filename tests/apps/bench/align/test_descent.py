@@ -191,8 +191,8 @@ def test_steps_of_a_run_shrink_and_its_last_ones_start_at_its_best_pose(monkeypa
 
 def test_runs_after_the_first_solve_tasks_that_it_leaves_and_lose_none(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(module, "FIRST_ITERATIONS", 60)
-    tasks = accepted(PAIR, 24)
-    first, more = (ran(Variant(budget=60 * runs), tasks).error[:, 0] for runs in (1, 7))
+    tasks = accepted(PAIR, 16)
+    first, more = (ran(Variant(budget=60 * runs), tasks).error[:, 0] for runs in (1, 5))
     assert (more <= first).all()
     left = first > 1e-6
     assert left.any() and (more[left] < 1e-6).mean() > 0.5
