@@ -248,6 +248,7 @@ def test_the_stages_of_a_refinement_sum_to_its_time_and_change_nothing(config: C
 # What people see
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("workplace")
 def test_run_reports_where_its_time_went(capfd: pytest.CaptureFixture[str]):
     quick = ("run", "--object", "rounded_box", "--iterations", "5", "--starts", "1", "--json", "run.json")

@@ -75,12 +75,12 @@ def test_bodies_inside_others_are_dropped() -> None:
 
 
 def test_many_small_bodies_are_joined_with_what_is_near() -> None:
-    """A plate of 100 mm with 40 screws, and a block 60 mm above it."""
+    """A plate of 100 mm with 20 screws, and a block 60 mm above it."""
     screws = [
-        [x, y, 0.004, x + 0.003, y + 0.003, 0.006] for x in np.linspace(0, 0.097, 8) for y in np.linspace(0, 0.097, 5)
+        [x, y, 0.004, x + 0.003, y + 0.003, 0.006] for x in np.linspace(0, 0.097, 4) for y in np.linspace(0, 0.097, 5)
     ]
     mesh = trimesh.util.concatenate(boxes([0, 0, 0, 0.1, 0.1, 0.005], [0, 0, 0.06, 0.1, 0.1, 0.08], *screws))
-    assert mesh.body_count == 42
+    assert mesh.body_count == 22
     found = covering(mesh, 5e-3)
     assert len(found.pieces) <= MAX_PIECES
     assert found.stands_out == 0

@@ -51,8 +51,6 @@ def test_a_cloud_is_an_object_that_may_be_several_solids(there: Path):
     obj = gr.load_object("scan.ply", seen_from=CORNER_VIEW, hypotheses=2)
     is_box(obj)
     assert obj.name == "scan" and len(obj.hypotheses) == 2
-    again = gr.load_object("scan.ply", seen_from="0.4,0.5,0.4", hypotheses=2)
-    np.testing.assert_array_equal(again.mesh.vertices, obj.mesh.vertices)
     # In memory, and as a scan.
     same = gr.load_object(points=cloud().astype(np.float32), seen_from=CORNER_VIEW, hypotheses=2, name="mine")
     np.testing.assert_allclose(same.mesh.bounds, obj.mesh.bounds, atol=1e-5)
@@ -88,7 +86,6 @@ def test_a_depth_picture_is_an_object_in_the_frame_of_its_pose(there: Path):
     Image.fromarray((depth > 0).astype(np.uint8)).save("mask.png")
     obj = gr.load_object("depth.png", intrinsics=D435, mask="mask.png", camera=pose, hypotheses=2)
     assert abs(obj.mesh.bounds[1, 2] - SIZE_M[2] / 2) < 0.004
-    np.testing.assert_allclose(gr.load_object(**obj.record).mesh.bounds, obj.mesh.bounds)
     same = gr.load_object(scan_of_depth([np.round(depth, 3)], None, D435, [pose]), hypotheses=2)
     np.testing.assert_allclose(same.mesh.bounds, obj.mesh.bounds, atol=1e-4)
 
@@ -98,7 +95,6 @@ def test_an_open_mesh_is_a_scan_where_the_sensor_is_given(there: Path):
     with refused(MeshError, "half", "`seen_from`"):
         gr.load_object("half.stl")
     is_box(gr.load_object("half.stl", seen_from=CORNER_VIEW, hypotheses=2))
-    is_box(gr.load_object(half_box(), seen_from=CORNER_VIEW, hypotheses=2))
     trimesh.creation.box(SIZE_M).export("whole.stl")
     with refused(MeshError, "whole.stl", "closed", "`seen_from`"):
         gr.load_object("whole.stl", seen_from=CORNER_VIEW)

@@ -40,7 +40,7 @@ def groups(request: pytest.FixtureRequest) -> list[Group]:
 
 def test_grasps_refined_together_are_the_grasps_refined_alone(groups: list[Group]) -> None:
     groups = [replace(group, scene=replace(group.scene, task=gr.Task(table=-0.2))) for group in groups]
-    config = Config(starts=2, solver=LevenbergMarquardt(iterations=40))
+    config = Config(starts=2, solver=LevenbergMarquardt(iterations=15))
     (set_,) = sets_of(groups, config)
     both = zip(groups, refine_together(set_, config), strict=True)
     for group, found in both:

@@ -18,7 +18,7 @@ from grasp_refine.refinement.config import Config
 @pytest.mark.parametrize("confidence", [0.5, 0.9999])
 def test_only_weak_transfers_are_refined_again_without_targets(confidence: float, monkeypatch: pytest.MonkeyPatch):
     """Each is at least as good as with its targets, and the effort of both is counted."""
-    problem = load_problem(ProblemSpec(hand="allegro", transfer_from="shadow", index=(0, 1)))
+    problem = load_problem(ProblemSpec(hand="allegro", transfer_from="shadow", index=(0,)))
     config, calls = Config(confidence=confidence, starts=2), []
     plain = module.refine_together
 

@@ -140,6 +140,7 @@ def test_the_largest_message_is_what_changed_most():
     assert headline(penetration_m_before=1e-6, penetration_m_after=2e-6).startswith("no change")
 
 
+@pytest.mark.usefixtures("without_charts")
 def test_the_page_stays_small_whatever_failed():
     failed = [failure(k, f"mesh {k}.obj has holes") for k in range(5000)]
     html = page(document(failed=failed), some(), ())

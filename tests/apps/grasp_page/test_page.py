@@ -47,13 +47,17 @@ def test_pages_of_a_refinement_and_of_validations(workplace: Path, monkeypatch: 
     assert [card.count("<img") for card in cards("one.html")] == [1, 1]
     assert [command[-1] for command in commands("one.html")] == ["1", "3"]
 
-    assert main(["transfer", EXAMPLE, "--index", "3", *OTHER, "--geometry-only", "--html", "other.html"]) == 0
-    ((*_, file, row, number, hand, name),) = [command[:7] for command in commands("other.html")]
-    assert (row, number, hand, name) == ("--index", "0", "--hand", "leap") and Path(file).is_file()
-    assert "--transfer-from" not in Path("other.html").read_text().partition("With <code>")[0], "it is of LEAP now"
-
     monkeypatch.setattr(sheet, "MAX_CARDS", 1)
     both = ("validate", EXAMPLE, str(result), "--no-simulate", "--html", "two.html")
     assert main([*both, "--index", "0", "1"]) == 0
     page = Path("two.html").read_text()
     assert len(cards("two.html")) == 2 and page.count("1 other ") == 2, "the worst of each file"
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_side")
+def test_pages_of_transfers_name_the_hand_that_has_the_grasps(workplace: Path) -> None:
+    assert main(["transfer", EXAMPLE, "--index", "3", *OTHER, "--geometry-only", "--html", "other.html"]) == 0
+    ((*_, file, row, number, hand, name),) = [command[:7] for command in commands("other.html")]
+    assert (row, number, hand, name) == ("--index", "0", "--hand", "leap") and Path(file).is_file()
+    assert "--transfer-from" not in Path("other.html").read_text().partition("With <code>")[0], "it is of LEAP now"
