@@ -17,9 +17,10 @@ import trimesh
 
 from grasp_refine.geometry import body
 from grasp_refine.geometry.covering import Covering
+from grasp_refine.hands import hand
 from grasp_refine.hands.files import link_geometry
 from grasp_refine.hands.files.shape import Primitive
-from grasp_refine.objects import seen
+from grasp_refine.objects import object, seen
 
 
 def arrays(value: Any) -> Iterator[Any]:
@@ -76,9 +77,11 @@ def is_hull(found: Covering) -> bool:
 
 @contextmanager
 def remembered() -> Iterator[None]:
-    """Remember surface points of bodies, pieces of links, and solids of scans."""
+    """Remember pieces and bodies of links and objects, surface points, and solids of scans."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(body, "sample", once(body.sample))
+        patch.setattr(hand, "build_body", once(hand.build_body))
+        patch.setattr(object, "build_body", once(object.build_body))
         patch.setattr(link_geometry, "covering", once(link_geometry.covering, is_hull))
         patch.setattr(Primitive, "piece", once(Primitive.piece))
         patch.setattr(seen, "complete", once(seen.complete))
