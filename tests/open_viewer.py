@@ -20,7 +20,7 @@ from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.jobs import validating
 from grasp_refine_apps.viewer.jobs.controller import Controller
-from grasp_refine_apps.viewer.jobs.worker import Control, Stopped
+from grasp_refine_apps.viewer.jobs.worker import Control
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.state import State
 from grasp_refine_apps.viewer.model.validated import DirectionResult, TrialResult
@@ -88,20 +88,6 @@ def short_trials(patch: pytest.MonkeyPatch) -> str:
 def ignored() -> Control:
     """The control of a job that nobody follows."""
     return Control(lambda share, what: None)
-
-
-def stopped_at(count: int) -> Control:
-    """A control that ends its job at the check of this number, from 1."""
-
-    class Ending(Control):
-        checks = 0
-
-        def check(self) -> None:
-            self.checks += 1
-            if self.checks == count:
-                raise Stopped
-
-    return Ending(lambda share, what: None)
 
 
 def made_trial(reason: Reason) -> TrialResult:

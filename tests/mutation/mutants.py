@@ -15,7 +15,6 @@ OPERATORS = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast
 OPERATORS |= {ast.BitOr: ast.BitAnd, ast.FloorDiv: ast.Div, ast.Pow: ast.Mult}
 PAIRS = ("min max", "sin cos", "any all", "argmin argmax", "minimum maximum", "floor ceil", "lower upper", "amin amax")
 NAMES = {a: b for pair in PAIRS for a, b in (pair.split(), pair.split()[::-1])}
-SKIPPED = ast.JoinedStr | ast.Import | ast.ImportFrom | ast.Raise
 
 
 @dataclass(frozen=True)

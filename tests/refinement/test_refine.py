@@ -270,7 +270,7 @@ def test_targets_that_exclude_each_other_end_as_stalled_not_for_want_of_iteratio
     one = aimed.select(np.array([1]))
     place = np.where(np.isnan(one.target_object), np.nan, one.target_object[:, :1])
     assert (np.isfinite(place[..., 0]).sum(axis=1) >= 2).all()
-    config = Config(solver=LevenbergMarquardt(iterations=200, restarts=3))
+    config = Config(solver=LevenbergMarquardt(iterations=300, restarts=6))
     found = refine(replace(one, target_object=place), config)
     assert (found.iterations > 60).all() and (found.status == Status.STALLED).all() and (found.loss[:, 1] > 1e-4).all()
 

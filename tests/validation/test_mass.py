@@ -17,7 +17,6 @@ from grasp_refine.validation.replay.record import record
 from gripper import RADIUS, around, ball, gripper, two_balls
 from refusals import refused
 
-SIDES = np.array([0.1, 0.05, 0.03])
 BOX, LARGER = "box:0.1,0.05,0.03", "box:0.2,0.1,0.06"
 
 

@@ -25,7 +25,6 @@ from grasp_refine.validation.trials import Reason, Trials
 from gripper import KP, RADIUS, around, ball, gripper
 
 PUSH = DEXGRASPBENCH.mass * DEXGRASPBENCH.acceleration
-ACROSS = ("+y", "-y", "+z", "-z")
 
 
 @pytest.fixture(scope="module")

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import re
 from typing import Any
 
 import pytest
-from rich.console import Console
 
 from grasp_refine_apps.bench.chart import Axis, Chart
 from grasp_refine_apps.bench.report import Column, Note, Report, Table
@@ -51,13 +49,6 @@ def table(**changed: Any) -> Table:
         Column("gap_m", "gap", "mm", only="terminal"),
     )
     return Table("some rows", columns, ROWS, **changed)
-
-
-def printed(report: Report) -> str:
-    console = Console(width=80, record=True, file=io.StringIO())
-    for part in report.printed():
-        console.print(part)
-    return console.export_text()
 
 
 DOCUMENT = {

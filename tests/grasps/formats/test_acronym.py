@@ -25,7 +25,6 @@ from grasp_refine.hands.hand import Hand
 from refusals import assert_names, refused
 
 h5py = pytest.importorskip("h5py")
-Load = Callable[..., Hand]
 T = exp_se3(np.random.default_rng(4).normal(size=(5, 6)) * [0.1, 0.1, 0.1, 2, 2, 2])
 
 

@@ -10,13 +10,9 @@ from grasp_refine.witness.derivative import Derivative
 from grasp_refine_apps.bench.align.patch import Patch
 from grasp_refine_apps.bench.align.presets import EPSILON, PRESETS
 from grasp_refine_apps.bench.align.tasks import CLASSES
-from grasp_refine_apps.bench.align.variants import ADAPTIVE, Variant
+from grasp_refine_apps.bench.align.variants import ADAPTIVE
 from grasp_refine_apps.bench.derivatives import NEIGHBORHOODS
 from grasp_refine_apps.commands.bench_align import PresetName
-
-
-def variants(name: str) -> tuple[Variant, ...]:
-    return PRESETS[name].variants
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -2,28 +2,8 @@
 
 from __future__ import annotations
 
-import re
-from io import StringIO
-
-from rich.console import Console
-
-from grasp_refine_apps.bench.chart import Row
-from grasp_refine_apps.bench.report import Report
-from grasp_refine_apps.bench.stability.rows import Cell
-from grasp_refine_apps.bench.stability.study import StabilityStudy, again
+from grasp_refine_apps.bench.stability.study import again
 from stability_cells import derivative, forward
-
-
-def printed(rows: list[Row], seed: int = 0, crashes: int = 0) -> list[str]:
-    console = Console(file=StringIO(), width=80)
-    for part in StabilityStudy((), seed).report(rows, [""] * crashes).printed():
-        console.print(part)
-    return [line.rstrip() for line in console.file.getvalue().splitlines()]
-
-
-def counts(line: str) -> list[int]:
-    """The numbers of a line."""
-    return [int(number) for number in re.findall(r"\d+", line)]
 
 
 def test_commands_name_all_that_a_cell_depends_on():
@@ -37,7 +17,3 @@ def test_commands_name_all_that_a_cell_depends_on():
         "bench stability --kinds box --diagonals 0.1 --states near --measures derivative --dtypes float64 "
         "--methods distance --neighborhoods adaptive --differentiated 3"
     )
-
-
-def report(*cells: Cell, problems: int = 0) -> Report:
-    return StabilityStudy(()).report([cell.row() for cell in cells], [""] * problems)

@@ -19,9 +19,6 @@ from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from gripper import KP, RADIUS, around, ball, gripper, lifted, weighing
 
-PUSH = DEXGRASPBENCH.mass * DEXGRASPBENCH.acceleration
-ACROSS = ("+y", "-y", "+z", "-z")
-
 
 @pytest.fixture(scope="module")
 def world() -> World:
