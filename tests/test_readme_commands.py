@@ -71,7 +71,7 @@ def checked_options(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
     return said
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, *INLINE])
+@pytest.mark.parametrize("command", dict.fromkeys([*COMMANDS, *INLINE]))
 def test_every_command_line_can_be_read(
     command: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ):

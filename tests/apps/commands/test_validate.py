@@ -223,7 +223,7 @@ def test_before_and_after_are_compared(workplace: Path, capfd: pytest.CaptureFix
 
 
 def test_a_run_can_prove_what_it_did(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    arguments = ["run", "--object", "rounded_box", "--index", "0", "--validate", "--json", "run.json"]
+    arguments = ["run", "--object", "rounded_box", "--index", "0", "--starts", "2", "--validate", "--json", "run.json"]
     assert main(arguments) == 0
     document = json.loads(Path("run.json").read_text())
     (grasp,) = document["grasps"]
