@@ -14,6 +14,7 @@ and the numbers of `schedule.npz` of target `mjcf`.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from importlib.resources import files
 from math import isfinite
@@ -75,7 +76,7 @@ class UrdfFolder:
             use="python simulate.py",
             notes=(
                 "start is the pose of the hand's root in the object's frame, x y z qw qx qy qz.",
-                "Joints that follow others are driven by targets of their own.",
+                "Joints that follow others have targets of their own, and equal shares of the force of their servo.",
             ),
         )
 
@@ -85,13 +86,19 @@ def _task(world: World, bodies: Bodies, course: Course) -> dict[str, np.ndarray]
     mine = list(world.hand.joints)
     names = [name for name in mine if name in driven]
     drives = [_driver(driven, name) for name in names]
+    # A servo is shared by its joint and those that follow: together their drives are as stiff and as strong as it.
+    count = Counter(drive.joint for drive in drives)
+    gain = np.array([abs(_multiplier(driven[name], drive)) or 1.0 for name, drive in zip(names, drives, strict=True)])
+    share = np.array([1.0 / count[drive.joint] for drive in drives]) / gain
+    servos = np.array([(drive.stiffness, drive.damping, _finite(drive.force_limit)) for drive in drives]).reshape(-1, 3)
+    stiffness, damping, limit = servos.T
     root = np.repeat(ROOT_STIFFNESS, 3)
     close = _targets(course, bodies, closing_rows(world.protocol), names, mine)
     task = {
         "joints": np.array([*ROOT_JOINTS, *names]),
-        "stiffness": np.array([*root, *(drive.stiffness for drive in drives)]),
-        "damping": np.array([*ROOT_LAG_S * root, *(drive.damping for drive in drives)]),
-        "force_limit": np.array([*np.full(6, NO_LIMIT), *(_finite(drive.force_limit) for drive in drives)]),
+        "stiffness": np.array([*root, *stiffness * share / gain]),
+        "damping": np.array([*ROOT_LAG_S * root, *damping * share / gain]),
+        "force_limit": np.array([*np.full(6, NO_LIMIT), *limit * share]),
         "armature": np.array([*np.zeros(6), *(driven[name].armature for name in names)]),
         "start": course.root(0, 0.0),
         "close": close,
@@ -109,6 +116,11 @@ def _driver(driven: dict[str, BodyLink], name: str) -> BodyLink:
     link = driven[name]
     follows = link.leader is not None and not link.stiffness and link.leader[0] in driven
     return driven[link.leader[0]] if follows and link.leader is not None else link
+
+
+def _multiplier(link: BodyLink, drive: BodyLink) -> float:
+    """Return the values of a joint per value of the joint whose servo moves it."""
+    return 1.0 if link.leader is None or link is drive else link.leader[1]
 
 
 def _targets(

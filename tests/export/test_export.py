@@ -154,7 +154,9 @@ def test_the_urdf_of_a_hand_has_its_kinematics_pieces_masses_and_drives(gripper:
     assert names[6:] == ["l", "r"]
     limits = ET.parse(tmp_path / "folder" / "hand.urdf").iterfind("joint/limit")
     assert [float(one.get("velocity")) for one in limits][6:] == [1.0, 1.0]
-    np.testing.assert_array_equal(task["force_limit"][6:], 40.0)
+    # One servo moves both plates.
+    np.testing.assert_array_equal(task["force_limit"][6:], 20.0)
+    assert task["stiffness"][6:].sum() == pytest.approx(gripper.actuator.kp[0])
     assert (task["stiffness"] > 0).all() and (task["damping"] > 0).all()
     links = [link.name for link in gripper.links]
     chain = Chain(gripper, links)
