@@ -209,7 +209,7 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
     color = "green" if success.all() else "yellow"
     held = f"{success.sum()} of {count_text(len(success), 'grasp')} held"
     lines = [Text.assemble((held, color), f" ({_percent(success)}) {protocol.rule}")]
-    if protocol.palm == "soft weld":
+    if protocol.palm == "soft weld" and MUJOCO in validated.engines:
         lines.append(Text("palm on a soft weld, as in DexGraspBench: it gives way under load; other protocols hold it"))
     if trials.label is not None:
         lines.append(Text(f"mean label {trials.label.mean():.3f}: share of the trials elsewhere that held"))

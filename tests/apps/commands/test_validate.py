@@ -183,6 +183,12 @@ def test_engines_report_how_far_they_agree(workplace: Path, capfd: pytest.Captur
     assert [row["held_drake"] for row in rows] == [str(drake) for _, drake in pairs]
 
 
+def test_only_mujoco_has_a_soft_weld(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for name in ("mujoco", "drake"):
+        main(["validate", str(EXAMPLE), "--index", "1", "--engine", name])
+        assert ("palm on a soft weld" in capfd.readouterr().out) == (name == "mujoco")
+
+
 def test_a_file_carries_the_verdict_of_each_engine(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
     save_npz("mine.npz", load_grasps(EXAMPLE).select([1, 3]).arrays())
     quick = ("mine.npz", "--seconds", "0.2", "--record")
