@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from grasp_refine.forces.calibration import CALIBRATION
-from grasp_refine.forces.quality import DEEP, LOW_FRICTION, MOST_YIELDING, SHORTCOMINGS, YIELDING_RAD_N, Quality
+from grasp_refine.forces.quality import (
+    DEEP,
+    EJECTING,
+    LOW_FRICTION,
+    MOST_YIELDING,
+    SHORTCOMINGS,
+    YIELDING_RAD_N,
+    Quality,
+)
 from grasp_refine.scene.demand import Demand
 
 NEGLIGIBLE_COST = 0.5
@@ -34,7 +42,7 @@ def weaknesses(
     demand, most = demand or Demand(), quality.largest_load()
     costs = CALIBRATION.costs(quality.shortcomings)
     known = np.isfinite(costs).all(axis=1)
-    worst = np.nan_to_num(costs).argmax(axis=1)
+    worst = np.where(quality.deep > EJECTING[0], SHORTCOMINGS.index("deep"), np.nan_to_num(costs).argmax(axis=1))
     found = []
     for i, which in enumerate(worst):
         if not known[i]:

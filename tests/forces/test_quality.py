@@ -145,6 +145,14 @@ def test_depth_counts_by_its_scale(free: Hand, ball: Object) -> None:
     assert quality(free, ball, *gaps, clearance).open[0] == pytest.approx(0.001 / DEEP)
 
 
+def test_what_is_two_centimetres_deep_does_not_hold(free: Hand, ball: Object) -> None:
+    """However well its forces balance; up to one centimetre the calibration alone counts."""
+    depths = [[0.0, 0.0], [-0.009, 0.0], [-0.015, 0.0], [-0.021, 0.0]]
+    found = of(free, ball, OPPOSING[0] * 4, OPPOSING[1] * 4, depths)
+    alone = CALIBRATION.probability(found.shortcomings)
+    np.testing.assert_allclose(found.value, alone * [1.0, 1.0, 0.5, 0.0])
+
+
 def test_pushes_are_in_six_directions_and_turn_nothing() -> None:
     np.testing.assert_allclose(PUSHES.sum(axis=0), 0.0, atol=1e-15)
     np.testing.assert_allclose(np.linalg.norm(PUSHES[:, :3], axis=1), PUSH_SHARE)
