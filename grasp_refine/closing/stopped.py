@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from grasp_refine.core.array_types import Bool, Float
@@ -22,6 +24,7 @@ def close_until_stopped(
     touch: Float[np.ndarray, "N L"] | float = 0.0,
     table: Plane | None = None,
     raised: Float[np.ndarray, " N"] | float = 0.0,
+    obstructed: Callable[[Float[np.ndarray, "R n"]], Bool[np.ndarray, "R L"]] | None = None,
 ) -> Float[np.ndarray, "N n"]:
     """Return the shares (N, n) of their paths at which the object or a table stops the joints.
 
@@ -37,6 +40,7 @@ def close_until_stopped(
         touch: Distances (N, L), at most 0, from which on links touch: less for links that are in the object already.
         table: Plane that stops links as well; a link that is below it already goes no deeper.
         raised: Distances (N,) in metres by which it is raised along its normal.
+        obstructed: Returns which links (R, L) something else stops, such as each other, at joint values (R, n).
     """
     chain, path = prepared.chain, q_end - q_open
     touch = np.broadcast_to(touch, (len(path), len(chain.links)))
@@ -52,11 +56,14 @@ def close_until_stopped(
         lowest = np.minimum(heights(np.arange(len(path)), chain(T_world_root, q_open).T_world_link), 0.0)
 
     def touches(rows: np.ndarray, share: np.ndarray, step: np.ndarray) -> Bool[np.ndarray, "R n"]:
-        T_link = chain(T_world_root[rows], q_open[rows] + share * path[rows]).T_world_link
+        q = q_open[rows] + share * path[rows]
+        T_link = chain(T_world_root[rows], q).T_world_link
         # Links whose joints all stopped need no query.
         cutoff = np.where((chain.moves & (step > 0.0)[:, None]).any(axis=2), 0.0, np.nan)
         witness = prepared.query(np.zeros(len(rows), dtype=np.int64), T_link, cutoff=cutoff)
         touching = (witness.valid & (witness.distance <= touch[rows])) | (heights(rows, T_link) < lowest[rows])
+        if obstructed is not None:
+            touching |= obstructed(q)
         return (touching[..., None] & chain.moves).any(axis=1)
 
     step = np.where(path != 0.0, 1.0 / NUM_STEPS, 0.0)

@@ -31,20 +31,25 @@ def segments(start: Float[np.ndarray, "K 3"], end: Float[np.ndarray, "K 3"]) -> 
 
 
 def push_arrow(
-    prepared: HandObject, T_world_object: Float[np.ndarray, "4 4"], force: Float[np.ndarray, " 3"], extra: float
+    prepared: HandObject,
+    T_world_object: Float[np.ndarray, "4 4"],
+    force: Float[np.ndarray, " 3"],
+    extra: float,
+    point: Float[np.ndarray, " 3"] | None = None,
 ) -> Float[np.ndarray, "2 3"]:
-    """Start and end (2, 3) of the arrow of a push, from the middle of the object through its surface outwards.
+    """Start and end (2, 3) of the arrow of a push, through the surface of the object outwards.
 
     Args:
         prepared: The object, and a hand.
         T_world_object: Pose of the object.
         force: The push, not zero.
         extra: Length outside of the object.
+        point: Point (3,) of the object that is pushed, object frame; None: the middle of the object.
     """
     points = transform_points(T_world_object, prepared.object.body.candidates.points)
-    middle = transform_points(T_world_object, np.mean(prepared.box, axis=0))
+    start = transform_points(T_world_object, np.mean(prepared.box, axis=0) if point is None else point)
     direction = force / np.linalg.norm(force)
-    return np.stack([middle, middle + (((points - middle) @ direction).max() + extra) * direction])
+    return np.stack([start, start + (max(((points - start) @ direction).max(), 0.0) + extra) * direction])
 
 
 def arrow_lines(arrow: Float[np.ndarray, "2 3"], head: float) -> Float[np.ndarray, "5 2 3"]:

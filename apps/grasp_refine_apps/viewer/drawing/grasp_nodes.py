@@ -73,8 +73,9 @@ CONE_COLOR = (110, 150, 225)
 FORCE_THICKNESS = 0.4
 """Thickness of the arrows of forces, as a share of that of a push."""
 
-REST_S, SHADOW_PERIOD_S = 0.25, 0.1
-"""Seconds without a movement from which on colours of depths and gaps are drawn, and between two shadows."""
+REST_S, SIMPLE_REST_S, SHADOW_PERIOD_S = 0.25, 1.0, 0.1
+"""Seconds without a movement from which on colours of depths and gaps are drawn, on pages that draw slowly, where moves
+come seldom, too; and between two shadows."""
 
 LEAST_FORCE_N = 0.05
 """Least force in newtons that has a text."""
@@ -97,6 +98,8 @@ class GraspNodes:
 
     def __init__(self, scene: viser.SceneApi, controller: Controller, state: State, before: GraspNodes | None) -> None:
         """Make all nodes; geometry that was prepared `before` for the same hand and object is used again."""
+        self.simple = False
+        """Whether ground, shadow and input hand are left out, for pages that draw slowly."""
         hand, obj, display = state.scene.hand, state.scene.object, state.display
         self._contacts_of, self._overlaps_of = controller.contacts, controller.overlaps
         self._elsewhere_of = controller.elsewhere
@@ -144,7 +147,7 @@ class GraspNodes:
         self._seen: tuple[Contacts | None, float] = None, -np.inf
         """Contacts that were drawn last, and when they came."""
         self.rests = True
-        """Whether all is drawn; False: `draw` should be called again after `REST_S`."""
+        """Whether all is drawn; False: `draw` should be called again after `rest_s`."""
         self._moves, self._shadow_at = False, -np.inf
         self._gaps_of: Contacts | None = None
         self._gap_field: GapField | None = None
@@ -169,6 +172,11 @@ class GraspNodes:
         self._ground: Ground | None = None
         self._shadow_of: tuple[bytes, ...] | None = None
         self.interaction = Interaction(scene, controller, self.prepared, self.hand, self.object, self.targets, length)
+
+    @property
+    def rest_s(self) -> float:
+        """Seconds without a movement from which on the hand rests."""
+        return SIMPLE_REST_S if self.simple else REST_S
 
     def draw_bodies(self, state: State) -> None:
         """Update hand and object alone to a state, which pages show first."""
@@ -245,6 +253,7 @@ class GraspNodes:
         color, opacity = (GHOST_COLOR, GHOST_OPACITY) if pose is None else (COMPARED_COLOR, COMPARED_OPACITY)
         pose = state.initial if pose is None else pose
         seen = wanted and pose.posed and state.motion is None and not pose.same(state.shown)
+        seen &= not self.simple or pose is not state.initial
         if self.ghost is None:
             if not seen:
                 return
@@ -285,12 +294,12 @@ class GraspNodes:
         self._draw_gaps(found if self._display.gaps and still else None)
 
     def _rests(self, found: Contacts) -> bool:
-        """Return whether the hand rests: it did not move twice within `REST_S`."""
+        """Return whether the hand rests: it did not move twice within `rest_s`, or once on slow pages."""
         now = time.monotonic()
         if found is not self._seen[0]:
-            self._moves = now - self._seen[1] <= REST_S
+            self._moves = self.simple or now - self._seen[1] <= self.rest_s
             self._seen = found, now
-        elif now - self._seen[1] > REST_S:
+        elif now - self._seen[1] > self.rest_s:
             self._moves = False
         self.rests &= not self._moves
         return not self._moves
@@ -354,17 +363,18 @@ class GraspNodes:
         self._draw_gaps(None)
 
     def _draw_push(self, state: State) -> None:
-        """Draw the push of a simulation, from the middle of the object outwards."""
+        """Draw the push of a simulation outwards, from the middle of the object or the point that is dragged."""
         motion, arrows = state.motion, np.zeros((0, 2, 3))
         if motion is not None and motion.is_pushed(state.motion_frame):
-            arrows = push_arrow(self.prepared, state.T_shown_object, motion.force, 0.4 * self._length)[None]
+            length = 0.4 * self._length
+            arrows = push_arrow(self.prepared, state.T_shown_object, motion.force, length, motion.pulled)[None]
         self.push.draw(arrows)
 
     def _draw_ground(self, state: State) -> None:
         """Draw the ground, which stays where it was first, and the shadow of hand and object."""
         shown, T = state.shown, state.T_world_object
         seen = shown.T_object_root.tobytes(), shown.q.tobytes(), T.tobytes(), state.T_shown_object.tobytes()
-        if not (shown.posed and self._display.ground) or seen == self._shadow_of:
+        if self.simple or not (shown.posed and self._display.ground) or seen == self._shadow_of:
             return
         now = time.monotonic()
         if now - self._shadow_at < SHADOW_PERIOD_S and self._ground is not None:

@@ -24,7 +24,7 @@ from grasp_refine_apps.viewer.drawing.camera import (
     scene_points,
     slanted,
 )
-from grasp_refine_apps.viewer.drawing.grasp_nodes import REST_S, GraspNodes
+from grasp_refine_apps.viewer.drawing.grasp_nodes import GraspNodes
 from grasp_refine_apps.viewer.drawing.ground import light
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.meters.comparison import compared_pose
@@ -50,6 +50,8 @@ class View:
         """Start with an empty scene, of one page or of all."""
         self.server, self._controller = server, controller
         self.nodes: GraspNodes | None = None
+        self.simple = False
+        """Whether the page draws slowly, without a graphics card."""
         self._made: Drawn | None = None
         self._camera: FirstCamera | None = None
         self._beside = False
@@ -103,10 +105,11 @@ class View:
                 self._motion = state.motion
                 if state.motion is not None and state.motion.travels:
                     self._place_cameras(state, nodes, moved=True)
+            nodes.simple = self.simple
             (nodes.draw_bodies if bodies else nodes.draw)(state)
         if not nodes.rests:
             self._later.cancel()
-            self._later = Timer(1.1 * REST_S, self.redraw)
+            self._later = Timer(1.1 * nodes.rest_s, self.redraw)
             self._later.daemon = True
             self._later.start()
 

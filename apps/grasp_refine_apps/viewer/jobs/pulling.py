@@ -65,10 +65,11 @@ def pull_live(
     while live.time < min(MAX_SECONDS, lost_at + LOST_SECONDS) and not live.diverged:
         began = time.monotonic()
         control.check()
-        live.advance(FRAME_S, pulled())
+        pull = pulled()
+        live.advance(FRAME_S, pull)
         if live.reason != Reason.HELD:
             lost_at = min(lost_at, live.time)
-        if live.moved_m > MAX_DISPLACEMENT_M or not show(_frame(grasp.scene.hand, live)):
+        if live.moved_m > MAX_DISPLACEMENT_M or not show(_frame(grasp.scene.hand, live, pull)):
             return
         time.sleep(max(FRAME_S - (time.monotonic() - began), 0.0))
 
@@ -84,7 +85,7 @@ def pull_text(live: LivePull) -> str:
     )
 
 
-def _frame(hand: Hand, live: LivePull) -> Recording:
+def _frame(hand: Hand, live: LivePull, pull: Pull) -> Recording:
     """Return the present frame."""
     both = replay_recording(hand, live.world.hand, live.replay("live pull", hand.name), live.world.model)
     assert both.T_object is not None
@@ -101,6 +102,7 @@ def _frame(hand: Hand, live: LivePull) -> Recording:
         contacts=both.contacts[-1:],
         lost=np.array([lost]),
         pushed=np.array([np.linalg.norm(live.force) > SHOWN_PULL_N]),
+        pulled=None if np.any(pull.force) else pull.point,
         succeeds=not lost,
         live=True,
     )

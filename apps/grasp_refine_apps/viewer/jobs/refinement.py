@@ -35,6 +35,11 @@ class Refinement:
                 return
             if (job is not None and job.kind != "measure") or not self._background.ready():
                 return
+            if store.runs_elsewhere("refine"):
+                store.notify(
+                    "another page is refining this grasp: it moves here, too; stop it there, or wait for its result"
+                )
+                return
             # Invalid options are refused before anything starts.
             config = store.checked(store.state.settings.config)
             if config is None:

@@ -55,6 +55,18 @@ class Store:
         with self.lock:
             return self._state
 
+    def runs_elsewhere(self, kind: JobKind) -> bool:
+        """Return whether another page runs a job of this kind for the grasp that is shown here."""
+        with self.lock:
+            return any(
+                other is not self
+                and other._state.job is not None
+                and other._state.job.kind == kind
+                and other._state.number == self._state.number
+                and other._state.collection.same_grasps(self._state.collection)
+                for other in self._sharing
+            )
+
     def unlisten(self, listener: Callable[[State], None]) -> None:
         """Call `listener` no more."""
         with self.lock:

@@ -35,7 +35,9 @@ class Recording:
     pushed: Bool[np.ndarray, " T"] | None = None
     """True in frames (T,) in which `force` acts; None: in none."""
     force: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
-    """Push at the object's centre of mass (3,), newtons."""
+    """Push at the object's centre of mass, or at `pulled`, (3,), newtons."""
+    pulled: Float[np.ndarray, " 3"] | None = None
+    """Point of the object (3,) that is dragged, object frame; None: none is."""
     contacts: tuple[Float[np.ndarray, "_ 3"], ...] = ()
     """Points where the object touches the hand or the table in each of T frames, (k, 3); empty: not known."""
     obstruction: Obstruction | None = None

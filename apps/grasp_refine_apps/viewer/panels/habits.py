@@ -107,6 +107,8 @@ class Habits:
                 self._controller.grasps.show(number)
         elif what == "scheme":
             set_theme(client.gui, dark=value == "dark")
+        elif what == "simple":
+            self._view.simple = True
         elif what == "brush":
             self.brush(rest)
         elif what == "tab":

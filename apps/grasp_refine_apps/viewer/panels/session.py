@@ -42,7 +42,7 @@ PANELS = (
 """Titles and panels of the tabs."""
 
 
-PICTURE_S = 1.5
+PICTURE_S = 5.0
 """Longest wait in seconds until a page shows hand and object."""
 
 GRASP_TABS = ("refine", "edit", "browse")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.se3 import transform_points
+from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.jobs.controller import Controller
@@ -33,9 +34,9 @@ def opened(viewer: Controller, scene: Scene) -> Pose:
     return Pose(viewer.state.pose.T_object_root, q)
 
 
-def tip(prepared: HandObject, pose: Pose, point: np.ndarray = POINT) -> np.ndarray:
+def tip(prepared: HandObject, pose: Pose, point: np.ndarray = POINT, link: str = THUMB) -> np.ndarray:
     T = prepared.chain(pose.T_object_root[None], pose.q[None]).T_world_link[0]
-    return transform_points(T[prepared.chain.links.index(THUMB)], point)
+    return transform_points(T[prepared.chain.links.index(link)], point)
 
 
 def distances(prepared: HandObject, pose: Pose) -> np.ndarray:
@@ -111,3 +112,19 @@ def test_one_drag_is_one_step_that_can_be_undone(prepared: HandObject, viewer: C
     viewer.editor.undo()
     viewer.editor.undo()
     assert viewer.state.pose.same(opened)
+
+
+def test_a_finger_stops_at_its_neighbour(prepared: HandObject, scene: Scene, opened: Pose) -> None:
+    # The bent index finger is dragged across the bent middle finger, far from the mug.
+    q, T = np.clip(np.zeros(16), scene.hand.lower, scene.hand.upper), opened.T_object_root.copy()
+    q[[1, 5]], T[2, 3] = 1.2, 1.0
+    before = pose = Pose(T, q)
+    index, middle = (tip(prepared, before, np.zeros(3), link) for link in ("link_3.0_tip", "link_7.0_tip"))
+    for share in np.linspace(0.0, 2.0, 9)[1:]:
+        pose = follow(prepared, scene, pose, Target("link_3.0_tip", np.zeros(3), index + share * (middle - index)))
+        assert self_penetration(scene.hand, touching_pairs(scene.hand), pose.q[None])[0] < 1e-4
+    moved = np.linalg.norm(tip(prepared, pose, np.zeros(3), "link_3.0_tip") - index)
+    assert 0.005 < moved < 0.9 * np.linalg.norm(middle - index)
+    # Drawn back, it comes.
+    back = follow(prepared, scene, pose, Target("link_3.0_tip", np.zeros(3), index))
+    assert np.linalg.norm(tip(prepared, back, np.zeros(3), "link_3.0_tip") - index) < 1e-3

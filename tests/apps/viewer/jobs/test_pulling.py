@@ -5,7 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from grasp_refine.core.se3 import transform_points
 from grasp_refine.problem.problem import Problem
+from grasp_refine_apps.viewer.drawing.glyphs import push_arrow
 from grasp_refine_apps.viewer.jobs import pulling
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from open_viewer import controller, example, settled
@@ -50,6 +52,22 @@ def test_the_force_of_the_user_moves_the_object_and_stop_leaves_the_last_frame(v
     assert viewer.state.standing is viewer.state.pose and not viewer.state.undo_steps
     pulled(viewer)
     assert not viewer.state.motion.is_pushed(0), "a new pull begins without force"
+    viewer.stop()
+
+
+def test_the_arrow_of_a_pull_begins_at_the_point_that_is_dragged(viewer: Controller) -> None:
+    pulled(viewer)
+    point = np.array([0.02, 0.01, 0.05])
+    viewer.simulation.pull_point(point, point + (0.0, 0.0, 0.01))
+    until(lambda: viewer.state.motion.is_pushed(0))
+    motion = viewer.state.motion
+    T, prepared = motion.object_pose(0), viewer.contacts.prepared(viewer.state.scene)
+    start, end = push_arrow(prepared, T, motion.force, 0.02, motion.pulled)
+    np.testing.assert_allclose(start, transform_points(T, point), atol=1e-12)
+    np.testing.assert_allclose(np.cross(end - start, motion.force), 0.0, atol=1e-9)
+    viewer.simulation.pull_point(None, None)
+    viewer.simulation.pull_steadily(2.0, "+x")
+    until(lambda: viewer.state.motion.is_pushed(0) and viewer.state.motion.pulled is None)
     viewer.stop()
 
 

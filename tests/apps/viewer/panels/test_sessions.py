@@ -81,6 +81,27 @@ def test_marks_edits_refinements_and_undo_are_shared_and_the_iteration_is_not(vi
     second.close()
 
 
+def test_a_grasp_that_another_page_refines_is_followed_and_not_refined_twice(viewer: Viewer) -> None:
+    (first, mine), (second, its) = joined(viewer), joined(viewer)
+    its.refinement.step()
+    until(lambda: its.state.trace is not None)
+    mine.refinement.start()
+    assert mine.state.job is None and "another page" in mine.state.notice.text
+    assert its.state.job.kind == "refine" and its.state.notice is None
+    assert mine.state.pose is its.state.pose and mine.state.trace is its.state.trace
+    # Another grasp can be refined meanwhile, and this one afterwards.
+    mine.grasps.show(1)
+    mine.refinement.start()
+    settled(mine)
+    its.stop()
+    mine.grasps.show(0)
+    mine.refinement.start()
+    settled(mine)
+    assert mine.state.outcome is not None and its.state.outcome is mine.state.outcome
+    first.close()
+    second.close()
+
+
 def test_a_page_that_is_loaded_again_is_as_it_was_and_its_jobs_go_on(viewer: Viewer) -> None:
     (first, mine), (second, its) = joined(viewer), joined(viewer)
     its.grasps.show(3)
