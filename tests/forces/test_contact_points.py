@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from compiled import COMPILED
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.forces.quality import quality
@@ -215,7 +216,8 @@ def test_balance_at_corners_has_the_derivative_of_finite_differences(tmp_path, b
     known = of.evaluate(member, point, None)
     assert known.loss.min() > 1e-4
     gradient, differences = gradients(of, point)
-    np.testing.assert_allclose(gradient, differences, atol=2e-4 * np.abs(gradient).max())
+    tolerance = 2e-4 if COMPILED else 1e-3
+    np.testing.assert_allclose(gradient, differences, atol=tolerance * np.abs(gradient).max())
 
 
 @pytest.mark.parametrize("angle", [0.03, 0.15])

@@ -74,9 +74,7 @@ def test_quality_is_over_all_solids_and_what_was_not_seen_is_said(
     assert (saved["contact_probability"][touching] >= 0.6 - 1e-9).all()
     assert saved["contact_probability"].max() <= 1.0 + 1e-9
     share, link = 100 * saved["contact_probability"][0, 0], str(saved["contact_link"][0])
-    assert (
-        found.outcome.likely_contact(links_of(hand), link) == f"; touches {100 * share:.0f} % of what the object may be"
-    )
+    assert found.outcome.likely_contact(links_of(hand), link) == f"; touches {share:.0f} % of what the object may be"
     hidden = np.flatnonzero(likely >= 0.95)
     assert len(hidden)
     for i in hidden:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import grasp_refine as gr
+from compiled import needs_compiled
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.problem.facade import problem_of
 from grasp_refine.problem.problem import Group
@@ -38,6 +39,7 @@ def groups(request: pytest.FixtureRequest) -> list[Group]:
     return [group_on(hand, source, count) for source, count in zip(SIZES, (2, 1, 3), strict=True)]
 
 
+@needs_compiled
 def test_grasps_refined_together_are_the_grasps_refined_alone(groups: list[Group]) -> None:
     groups = [replace(group, scene=replace(group.scene, task=gr.Task(table=-0.2))) for group in groups]
     config = Config(starts=2, solver=LevenbergMarquardt(iterations=15))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from boxed_example import boxed_example
+from compiled import needs_compiled
 from grasp_refine.core.se3 import exp_se3, inverse, transform_points
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.sampling import Candidates
@@ -37,6 +38,7 @@ def scene() -> Scene:
     return replace(scene, T_world_root=T).select(np.array([0, 2]))
 
 
+@needs_compiled
 def test_hands_refined_in_another_frame_are_the_same_hands(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Loads, pyramids and the noise of starts once followed the object's axes: hands differed by millimetres."""
     monkeypatch.setattr(force_closure_search, "GOOD_SCORE", 0.0)

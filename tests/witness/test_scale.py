@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from compiled import COMPILED
 from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.core.se3 import tangents
 from grasp_refine.geometry.body import Body, build_body
@@ -129,7 +130,7 @@ def test_the_derivative_scales_with_the_world(name: str, shapes: str) -> None:
         same = apart < 1e-9
         assert same.mean() > 0.9
         error = difference(world(shapes, s).derivative(METHODS[name]), name, shapes)
-        assert error[same].max() < 1e-6, s
+        assert error[same].max() < (1e-6 if COMPILED else 1e-4), s
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from compiled import needs_compiled
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.problem.input_cache import NoCache
 from grasp_refine.refinement.config import Config
@@ -110,6 +111,7 @@ def test_each_shard_of_sampled_grasps_is_another_draw(tmp_path: Path):
     assert len(first) == len(second) == 2 and (np.abs(first[:, None] - second).max(axis=2) > 1e-3).all()
 
 
+@needs_compiled
 def test_shards_of_several_objects_are_refined_together_and_come_out_as_alone(tmp_path: Path):
     jobs = tmp_path / "jobs.csv"
     files = [EXAMPLES / f"example_{name}.npz" for name in ("rounded_box", "mug", "bottle")]
