@@ -1,5 +1,7 @@
 """Hands with all kinds of geoms, joints, servos and ties, for engines that translate MuJoCo's model."""
 
+import re
+
 import mujoco
 import numpy as np
 
@@ -45,6 +47,13 @@ def rich(*, tendon: bool = False) -> HandModel:
     tree = TREE.format(armature=armature, most="" if tendon else 'actuatorfrcrange="-0.1 0.1"')
     servos = SERVOS.format(on=on, kp=10 * force, force=force)
     return model(tree, JOINTS, MESH, TENDON.format(force=force) * tendon, servos)
+
+
+def unlimited() -> HandModel:
+    """The hand with all kinds of joints, whose servos have no limits of force."""
+    tree = TREE.format(armature=2e-5, most="")
+    servos = re.sub(r'forcerange="[^"]*"', "", SERVOS.format(on='joint="bend"', kp=0.5, force=0.0))
+    return model(tree, JOINTS, MESH, servos)
 
 
 def model(tree: str, joints: tuple[str, ...], *others: str) -> HandModel:

@@ -380,7 +380,7 @@ def test_ctrl_c_leaves_one_line_and_no_files():
     assert list(Path().iterdir()) == []
 
 
-@pytest.mark.parametrize("line", ["scenes", "--help"])
+@pytest.mark.parametrize("line", [pytest.param("scenes", marks=pytest.mark.slow), "--help"])
 def test_nobody_reads_the_output(line: str):
     read, write = os.pipe()
     os.close(read)

@@ -178,7 +178,7 @@ L_SHAPE = [0, 0, 0, 3, 1, 1], [0, 0, 0, 1, 3, 1]
     [
         # The point (2, 2) of the slope from (3, 1) to (1, 3) is 1 away from each leg.
         pytest.param(L_SHAPE, (), 1.0, id="L shape"),
-        pytest.param([[0, 0, 0, 1, 1, 1], [7, 0, 0, 8, 1, 1]], (), 3.0, id="two boxes"),
+        pytest.param([[0, 0, 0, 1, 1, 1], [3, 0, 0, 4, 1, 1]], (), 1.0, id="two boxes"),
         # Across a notch of width 2 w and depth d the hull is at most min(w, d) away from walls and floor.
         pytest.param([[0, 0, 0, 10, 5, 1], [0, 0, 0, 4, 5, 4], [6, 0, 0, 10, 5, 4]], (), 1.0, id="narrow notch"),
         pytest.param([[0, 0, 0, 10, 5, 1], [0, 0, 0, 1, 5, 1.5], [9, 0, 0, 10, 5, 1.5]], (), 0.5, id="flat notch"),

@@ -79,7 +79,8 @@ SQUARES, TORCH = LevenbergMarquardt(iterations=60), TorchTerm(height, weight=50.
 
 
 @pytest.mark.parametrize(
-    ("term", "solver"), [(Height(), SQUARES), (Plain(), SQUARES), (TORCH, SQUARES), (TORCH, Descent(iterations=300))]
+    ("term", "solver"),
+    [(Height(), SQUARES), (Plain(), SQUARES), (TORCH, SQUARES), (TORCH, Descent(iterations=80, step_translation=4e-3))],
 )
 def test_terms_are_minimised(grasps: Any, term: Term, solver: Any):
     config = replace(QUICK, solver=solver)

@@ -1,41 +1,25 @@
-"""Worlds in Drake against the same worlds in MuJoCo: poses, depths, motion of every kind of joint, servo and tie."""
-
-from dataclasses import replace
+"""Worlds in Drake against the same worlds in MuJoCo: poses, inertias, depths, dry friction and pairs that touch."""
 
 import mujoco
 import numpy as np
 import pytest
 
-from grasp_refine.core.errors import GraspRefineError
+from engine_rows import both, driven
 from grasp_refine.core.se3 import transform, transform_from_pose
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.drake.plant import rigid
-from grasp_refine.validation.engines.drake.rows import Rows, engine_for
 from grasp_refine.validation.engines.geom_pairs import touching_pairs
-from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
-from grasp_refine.validation.engines.mujoco.stepping import Rows as MujocoRows
-from grasp_refine.validation.engines.mujoco.world import World, build_world
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.engines.simulations import OBJECT_GEOM
-from gripper import ball, two_balls
-from rich_hands import JOINTS, LEFT, NAMES, TIED, TIES, model, random_poses, rich
+from gripper import ball
+from rich_hands import JOINTS, LEFT, NAMES, TIED, model, random_poses, rich
 
 EXACT = [int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("BOX", "CAPSULE", "SPHERE")]
 """Kinds of geoms of whose depths Drake makes no error."""
-
-
-def both(world: World, conditions: Conditions) -> tuple[Rows, MujocoRows]:
-    """Simulations in Drake and in MuJoCo."""
-    running = np.ones(len(conditions.friction), dtype=bool)
-    return engine_for(world)(world, conditions, running, 1), MujocoRows(world, conditions, running, 1)
-
-
-def joints(rows: Rows) -> np.ndarray:
-    """Values (N, m) of the joints in Drake."""
-    return rows.state()[:, -rows._moving.shape[1] :][:, rows._plant.joints]
 
 
 def test_bodies_are_where_mujoco_has_them_and_overlap_as_deeply() -> None:
@@ -44,7 +28,7 @@ def test_bodies_are_where_mujoco_has_them_and_overlap_as_deeply() -> None:
     model = world.model
     geoms = np.flatnonzero(np.array(world.link_of_geom) >= 0)
     count, rng = 4 * len(geoms), np.random.default_rng(0)
-    drake, other = both(world, Conditions.nominal(world, count))
+    drake, other = both("drake", world, Conditions.nominal(world, count))
     root, values = random_poses(count, 1), rng.uniform([-1, -1, -1, -0.01], [1, 1, 1, 0.01], (count, 4))
     place, data = np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)), mujoco.MjData(model)
     (of_object,), ends, poses = np.flatnonzero(world.link_of_geom == OBJECT_GEOM), np.zeros(6), []
@@ -87,78 +71,12 @@ def test_bodies_are_where_mujoco_has_them_and_overlap_as_deeply() -> None:
     assert (found.depth_table > 0.01).any() and (found.depth_table == 0).any()
 
 
-@pytest.mark.parametrize("tendon", [False, True])
-def test_hand_and_object_move_as_in_mujoco(tendon: bool) -> None:
-    """Gears, force limits, ctrlrange, springs, armature, damping, tendon; and a wrench at the centre of mass."""
-    protocol = replace(TABLETOP, timestep=1e-4)
-    task = Task(protocol, table=Plane(offset=-50.0))
-    world = build_world(rich(tendon=tendon), two_balls((0.02, 0.012), (0.03, -0.02)), task)
-    assert np.linalg.norm(world.model.body_ipos[world.object_body]) > 0.005
-    conditions = replace(
-        Conditions.nominal(world, 3),
-        mass=np.array([0.1, 0.1, 0.3]),
-        gain=np.array([1.0, 1.5, 1.0]),
-        force_limit=np.array([1.0, 0.6, 1.0]),
-    )
-    rng = np.random.default_rng(3)
-    start = rng.uniform([-0.5, -0.5, 0, -0.005], [0.5, 0.5, 0.6, 0.005], (3, 4))
-    aim = rng.uniform(-1.5, 1.5, (3, 5)) * [4, 1, 0.02, 1, 0.5]
-    aim[2] = 0.0
-    root, place = random_poses(3, 4), random_poses(3, 5) + [1.0, 0, 0, 0, 0, 0, 0]
-    wrench = rng.normal(size=(3, 6)) * [2, 2, 2, 0.01, 0.01, 0.01]
-    rows = both(world, conditions)
-    for one in rows:
-        one.place(root, start, place)
-        one.drive(root, aim)
-        one.push(wrench)
-    moved = []
-    for _ in range(3):
-        for one in rows:
-            one.step(150)
-        moved.append([joints(rows[0]) - start, rows[1].batch.qpos[:, world.joints_at] - start])
-        poses = [one.object_poses() for one in rows]
-        np.testing.assert_allclose(poses[0], poses[1], atol=5e-4)
-    found, expected = np.array(moved).transpose(1, 0, 2, 3)
-    largest = np.abs(expected).max(axis=(0, 1))
-    assert (largest > [0.2, 0.2, 0.2, 2e-3]).all()
-    assert (np.abs(found - expected).max(axis=(0, 1)) < 0.02 * largest).all()
-    centre = world.model.body_ipos[world.object_body]
-    found, before = poses[0] @ [*centre, 1], transform_from_pose(place) @ [*centre, 1]
-    # Semi-implicit Euler: the sum of n velocities.
-    rate = wrench[:, :3] / conditions.mass[:, None] - [0.0, 0.0, 9.81]
-    way = rate * protocol.timestep**2 * 450 * 451 / 2
-    np.testing.assert_allclose((found - before)[:, :3], way, atol=1e-5)
-
-
-def driven(hand: HandModel, *aim: float, steps: int = 400) -> np.ndarray:
-    """Return the values of the joints of a hand in Drake after some time at set points."""
-    world = build_world(hand, ball(), Task(DEXGRASPBENCH))
-    rows, _ = both(world, Conditions.nominal(world, 1))
-    origin = np.array([[0.0, 0, 0, 1, 0, 0, 0]])
-    rows.place(origin, world.model.qpos0[world.joints_at][None], origin + [0, 0, -1, 0, 0, 0, 0])
-    rows.drive(origin, np.array([aim]))
-    rows.step(steps)
-    return joints(rows)[0]
-
-
-@pytest.mark.parametrize("aim", [0.5, -0.9])
-def test_ties_of_bodies_and_joints_hold(aim: float) -> None:
-    """A parallelogram, closed at a part of its other side; a welded twin; and a follower, from reference positions."""
-    left, bar, right, twin, follower = driven(model(TIED.format(more=""), NAMES, TIES), aim)
-    turned = left + np.radians(20)
-    assert left == pytest.approx(aim, abs=0.01)
-    np.testing.assert_allclose([-bar, right, twin], turned, atol=2e-3)
-    assert follower == pytest.approx(np.radians(10) + 0.1 + 0.5 * turned, abs=2e-3)
-
-
-def test_limits_and_dry_friction_of_joints_stop_them() -> None:
-    """At 0.3 rad; at rest below the friction; and where the servo no longer overcomes it."""
+def test_dry_friction_of_a_joint_stops_it() -> None:
+    """At rest below the friction, and where the servo no longer overcomes it."""
     servos = LEFT.replace("</actuator>", '<position joint="right" kp="1"/></actuator>')
-    stopped = model(TIED.format(more='range="-60 17.188733853924695"'), NAMES, servos)
-    assert driven(stopped, 0.0, 2.0)[2] == pytest.approx(0.3, abs=0.01)
     rough = model(TIED.format(more='frictionloss="0.2"'), NAMES, servos)
-    assert abs(driven(rough, 0.0, 0.15)[2]) < 0.01
-    assert driven(rough, 0.0, 0.6, steps=1200)[2] == pytest.approx(0.4, abs=0.01)
+    assert abs(driven("drake", rough, 0.0, 0.15)[2]) < 0.01
+    assert driven("drake", rough, 0.0, 0.6, steps=1200)[2] == pytest.approx(0.4, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -187,18 +105,3 @@ def test_pairs_that_may_touch_are_as_in_mujoco(geom: str, more: str, count: int)
     mujoco.mj_forward(compiled, data)
     found = {tuple(sorted(pair)) for pair in touching_pairs(compiled)}
     assert found == {tuple(sorted(pair)) for pair in data.contact.geom.tolist()} and len(found) == count
-
-
-@pytest.mark.parametrize(
-    "more",
-    [
-        f'<equality><joint joint1="left" joint2="right" polycoef="0 1 1"/></equality>{LEFT}',
-        '<actuator><position site="s" kp="1"/></actuator>',
-    ],
-)
-def test_parts_that_drake_has_no_counterpart_of_are_refused(more: str) -> None:
-    with pytest.raises(GraspRefineError, match="drake"):
-        driven(model(TIED.format(more="").replace("<geom", '<site name="s"/><geom', 1), NAMES, more), 0.0)
-    world = build_world(model(TIED.format(more=""), NAMES, LEFT), ball(), Task(DEXGRASPBENCH))
-    with pytest.raises(GraspRefineError, match="mujoco"):
-        both(world, replace(Conditions.nominal(world, 1), default_contact=np.array([True])))

@@ -1,51 +1,21 @@
-"""Worlds in PhysX against the same worlds in MuJoCo and closed forms: poses, hulls, joints, tendons and ties."""
-
-import re
-from dataclasses import replace
+"""Worlds in PhysX against the same worlds in MuJoCo and closed forms: poses, hulls, tendons, couplings and pairs."""
 
 import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from engine_rows import ORIGIN, both, driven
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.scene.plane import Plane
-from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.scene.task import Task
-from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
-from grasp_refine.validation.engines.mujoco.stepping import Rows as MujocoRows
-from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.engines.physx.rows import Rows, engine_for
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.engines.physx.shapes import let_collide, material_of, shape_of
 from grasp_refine.validation.engines.simulations import OBJECT_GEOM
-from gripper import ball, two_balls
-from rich_hands import JOINTS, LEFT, MESH, NAMES, SERVOS, TIED, TIES, TREE, model, random_poses
-
-ORIGIN = np.array([[0.0, 0, 0, 1, 0, 0, 0]])
-FAR = Task(TABLETOP, table=Plane(offset=-50.0))
-
-
-def unlimited() -> HandModel:
-    """Return the hand with all kinds of joints, whose servos have no limits of force."""
-    tree = TREE.format(armature=2e-5, most="")
-    servos = re.sub(r'forcerange="[^"]*"', "", SERVOS.format(on='joint="bend"', kp=0.5, force=0.0))
-    return model(tree, JOINTS, MESH, servos)
-
-
-def both(world: World, conditions: Conditions) -> tuple[Rows, MujocoRows]:
-    """Return simulations in PhysX and in MuJoCo."""
-    running = np.ones(len(conditions.friction), dtype=bool)
-    return engine_for(world)(world, conditions, running, 1), MujocoRows(world, conditions, running, 1)
-
-
-def joints(rows: Rows) -> np.ndarray:
-    """Return the values (N, m) of the joints in PhysX."""
-    state = rows.state()
-    count = rows._joint_count
-    return state[:, 7 + count : 7 + 2 * count][:, rows._blueprints[0].joints]
+from gripper import ball
+from rich_hands import model, random_poses, unlimited
 
 
 def test_bodies_are_where_mujoco_has_them_and_overlap_as_deeply() -> None:
@@ -65,7 +35,7 @@ def test_bodies_are_where_mujoco_has_them_and_overlap_as_deeply() -> None:
         mujoco.mj_kinematics(model, data)
         apart = mujoco.mj_geomDistance(model, data, int(of_object), geom, 1.0, ends)
         place[row, :3] = data.geom_xpos[of_object] + (1 + 0.003 / apart) * (ends[3:] - ends[:3])
-    found, expected = both(world, Conditions.nominal(world, count))
+    found, expected = both("physx", world, Conditions.nominal(world, count))
     for rows in (found, expected):
         rows.place(root, values, place)
     found, expected = (rows.touching(np.arange(count)) for rows in (found, expected))
@@ -78,49 +48,6 @@ def test_bodies_are_where_mujoco_has_them_and_overlap_as_deeply() -> None:
     assert np.median(np.abs(found.depth[alone] - 0.003)) < 1e-5
     np.testing.assert_allclose(found.depth_table, expected.depth_table, atol=6e-4)
     assert (found.depth_table > 0.01).any() and (found.depth_table == 0).any()
-
-
-def test_hand_and_object_move_as_in_mujoco() -> None:
-    """Gears, ctrlrange, springs, armature, damping, masses and inertias; and a wrench at the centre of mass."""
-    task = replace(FAR, protocol=replace(TABLETOP, timestep=1e-4))
-    world = build_world(unlimited(), two_balls((0.02, 0.012), (0.03, -0.02)), task)
-    conditions = replace(Conditions.nominal(world, 3), mass=np.array([0.1, 0.1, 0.3]), gain=np.array([1.0, 1.5, 1.0]))
-    rng = np.random.default_rng(3)
-    start = rng.uniform([-0.5, -0.5, 0, -0.005], [0.5, 0.5, 0.6, 0.005], (3, 4))
-    aim = rng.uniform(-1.5, 1.5, (3, 5)) * [4, 1, 0.02, 1, 0.5]
-    root, place = random_poses(3, 4), random_poses(3, 5) + [1.0, 0, 0, 0, 0, 0, 0]
-    wrench = rng.normal(size=(3, 6)) * [2, 2, 2, 0.01, 0.01, 0.01]
-    rows = both(world, conditions)
-    for one in rows:
-        one.place(root, start, place)
-        one.drive(root, aim)
-        one.push(wrench)
-    moved = []
-    for _ in range(3):
-        for one in rows:
-            one.step(150)
-        moved.append([joints(rows[0]) - start, rows[1].batch.qpos[:, world.joints_at] - start])
-        poses = [one.object_poses() for one in rows]
-        np.testing.assert_allclose(poses[0], poses[1], atol=5e-4)
-    found, expected = np.array(moved).transpose(1, 0, 2, 3)
-    largest = np.abs(expected).max(axis=(0, 1))
-    assert (largest > [0.2, 0.2, 0.2, 2e-3]).all()
-    assert (np.abs(found - expected).max(axis=(0, 1)) < 0.03 * largest).all()
-    centre = world.model.body_ipos[world.object_body]
-    found, before = poses[0] @ [*centre, 1], transform_from_pose(place) @ [*centre, 1]
-    # Semi-implicit Euler: the sum of n velocities.
-    rate = wrench[:, :3] / conditions.mass[:, None] - [0.0, 0.0, 9.81]
-    np.testing.assert_allclose((found - before)[:, :3], rate * 1e-8 * 450 * 451 / 2, atol=1e-5)
-
-
-def driven(hand: HandModel, *aim: float, steps: int = 400) -> np.ndarray:
-    """Return the values of the joints of a hand in PhysX after some time at set points."""
-    world = build_world(hand, ball(), Task(DEXGRASPBENCH))
-    rows, _ = both(world, Conditions.nominal(world, 1))
-    rows.place(ORIGIN, world.model.qpos0[world.joints_at][None], ORIGIN + [0, 0, -1, 0, 0, 0, 0])
-    rows.drive(ORIGIN, np.array([aim]))
-    rows.step(steps)
-    return joints(rows)[0]
 
 
 FINGERS = """<body name="palm"><inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
@@ -146,7 +73,9 @@ def test_a_tendon_pulls_its_joints_by_weight_and_no_other(weights: dict[str, flo
     squares = sum(weight**2 for weight in weights.values()) / 0.5
     tension = min(2 * 0.6 / (1 + 2 * squares), force)
     expected = [weights.get(name, 0.0) * tension / 0.5 for name in names]
-    np.testing.assert_allclose(driven(hand, 0.6, steps=1500), expected, atol=0.005 + 0.03 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        driven("physx", hand, 0.6, steps=1500), expected, atol=0.005 + 0.03 * np.abs(expected).max()
+    )
 
 
 @pytest.mark.parametrize(("leader", "follower"), [("a", "b"), ("b", "a"), ("a", "c")])
@@ -158,25 +87,10 @@ def test_a_coupling_transmits_torque_by_its_ratio(leader: str, follower: str, ra
     coupling = f'<equality><joint joint1="{follower}" joint2="{leader}" polycoef="0 {ratio}"/></equality>'
     names = ("base", "a", "b", "c")
     servo = f'<actuator><position joint="{leader}" kp="2"/><position joint="base" kp="20"/></actuator>'
-    found = dict(zip(names, driven(model(tree, names, coupling, servo), 0.6, 0.0, steps=1000), strict=True))
+    hand = model(tree, names, coupling, servo)
+    found = dict(zip(names, driven("physx", hand, 0.6, 0.0, steps=1000), strict=True))
     assert found[leader] == pytest.approx(2 * 0.6 / (2 + 0.5 * ratio**2), rel=0.04)
     assert found[follower] == pytest.approx(ratio * found[leader], abs=6e-3)
-
-
-@pytest.mark.parametrize("aim", [0.5, -0.9])
-def test_ties_of_bodies_and_joints_hold(aim: float) -> None:
-    """A parallelogram, closed at a part of its other side; a welded twin; and a follower, from reference positions."""
-    left, bar, right, twin, follower = driven(model(TIED.format(more=""), NAMES, TIES), aim)
-    turned = left + np.radians(20)
-    assert left == pytest.approx(aim, abs=0.01)
-    np.testing.assert_allclose([-bar, right, twin], turned, atol=2e-3)
-    assert follower == pytest.approx(np.radians(10) + 0.1 + 0.5 * turned, abs=2e-3)
-
-
-def test_a_limit_of_a_joint_stops_it() -> None:
-    servos = LEFT.replace("</actuator>", '<position joint="right" kp="1"/></actuator>')
-    stopped = model(TIED.format(more='range="-60 17.188733853924695"'), NAMES, servos)
-    assert driven(stopped, 0.0, 2.0)[2] == pytest.approx(0.3, abs=0.01)
 
 
 def test_hulls_keep_their_vertices_and_lie_hardly_inside() -> None:
@@ -210,19 +124,3 @@ def test_only_pairs_that_may_touch_do() -> None:
     assert met == set(pairs)
     with pytest.raises(GraspRefineError, match="32"):
         let_collide([*shapes, *shapes], [(a, b) for a in range(60) for b in range(a)])
-
-
-@pytest.mark.parametrize(
-    "more",
-    [
-        f'<equality><joint joint1="left" joint2="right" polycoef="0 1 1"/></equality>{LEFT}',
-        '<actuator><position site="s" kp="1"/></actuator>',
-        '<actuator><position joint="left" kp="1" forcerange="-1 1"/><position joint="left" kp="2"/></actuator>',
-    ],
-)
-def test_parts_that_physx_has_no_counterpart_of_are_refused(more: str) -> None:
-    with pytest.raises(GraspRefineError, match="physx"):
-        driven(model(TIED.format(more="").replace("<geom", '<site name="s"/><geom', 1), NAMES, more), 0.0)
-    world = build_world(model(TIED.format(more=""), NAMES, LEFT), ball(), Task(DEXGRASPBENCH))
-    with pytest.raises(GraspRefineError, match="mujoco"):
-        both(world, replace(Conditions.nominal(world, 1), default_contact=np.array([True])))
