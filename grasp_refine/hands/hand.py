@@ -348,6 +348,7 @@ def load_hand(
     follower_limits = follower_limits or toml.follower_limits
     joints, narrowed = limit_by_followers(joints, tree.path, follower_limits)
     meshes = LinkMeshes(tree.path, hull_limit, default_cache(), progress or (lambda line: None))
+    meshes.require(raw_links)
     links = tuple(_link(raw, meshes, candidates) for raw in raw_links)
     solids = tuple(link.name for link in links if link.body is not None)
     links = tuple(replace(link, solids=solids) for link in links)

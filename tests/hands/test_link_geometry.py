@@ -184,6 +184,24 @@ def test_geometry_that_cannot_be_used_names_the_link(package: Path, geometry: st
         pieces(package, geometry)
 
 
+def test_a_flat_mesh_does_not_collide(package: Path) -> None:
+    """A sticker with a marker is no reason to refuse a hand."""
+    trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]]).export(
+        package / "meshes/marker.stl"
+    )
+    made, (note,) = cut(package, '<mesh filename="../meshes/marker.stl"/>', '<box size="1 1 1"/>')
+    assert len(made) == 1 and "marker.stl" in note and "tip" in note
+
+
+def test_missing_meshes_are_found_before_any_is_cut(package: Path) -> None:
+    path = package / "urdf/hand.urdf"
+    names = ("../meshes/wedge.stl", "one.stl", "two.stl", "one.stl")
+    collisions = (f'<collision><geometry><mesh filename="{name}"/></geometry></collision>' for name in names)
+    path.write_text(f'<robot name="r"><link name="tip">{"".join(collisions)}</link></robot>')
+    with refused(HandError, "'tip'", "one.stl", "1 other mesh is missing"):
+        LinkMeshes(path).require(urdf_tree(path).links.values())
+
+
 def test_a_zip_is_not_unpacked_as_a_mesh(tmp_path: Path) -> None:
     """Readers of Collada unpack one, however much is in it."""
     path = tmp_path / "bomb.dae"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from grasp_refine.core.errors import HandError, MeshError
+from grasp_refine.core.plurals import count_text, names_text
 from grasp_refine.geometry.covering import Covering, covering
+from grasp_refine.geometry.mesh import FlatMeshError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hands.files.mesh_files import read_mesh, resolve_mesh
 from grasp_refine.hands.files.shape import Geometry, MeshFile, Scale, Surface
@@ -43,31 +45,61 @@ class LinkMeshes:
     _read: dict[Path, trimesh.Trimesh] = field(default_factory=dict)
     _cut: dict[tuple[Path, Scale], Covering] = field(default_factory=dict)
     _users: dict[tuple[Path, Scale], list[str]] = field(default_factory=dict)
+    _flat: dict[str, list[str]] = field(default_factory=dict)
+
+    def require(self, links: Iterable[LinkEntry]) -> None:
+        """Check that all mesh files of links exist, before any is cut, which may take minutes.
+
+        Raises:
+            HandError: a file is missing; names its link, where it was sought, and how many others are.
+        """
+        meshes: dict[str, str] = {}
+        for link in links:
+            for shape in link.collisions:
+                if isinstance(shape.geometry, MeshFile):
+                    meshes.setdefault(shape.geometry.filename, link.name)
+        missing = []
+        for name, link_name in meshes.items():
+            try:
+                resolve_mesh(name, self.path)
+            except HandError as error:
+                missing.append(f"{self.path}: link '{link_name}': {error}")
+        if missing:
+            others = count_text(len(missing) - 1, "other mesh is", "other meshes are")
+            raise HandError(missing[0] + f"; {others} missing, too" * (len(missing) > 1))
 
     def pieces(self, mesh: MeshFile, link: str) -> tuple[Piece, ...]:
         """The pieces of a mesh file, for `link`.
 
+        A flat one, such as a sticker with a marker, has none, and a note says so.
+
         Raises:
             HandError: there is no such file.
-            MeshError: it cannot be used.
+            MeshError: it cannot be used; or a scale of 0 makes it flat.
         """
         path = resolve_mesh(mesh.filename, self.path)
         key = (path, mesh.scale)
         if key not in self._cut:
-            if path not in self._read:
-                self._read[path] = read_mesh(path)
-            name = path.name if key[1] == (1.0, 1.0, 1.0) else f"{path.name} x {np.array(key[1])}"
-            self._cut[key] = covering(
-                scaled(self._read[path], key[1]), self.limit, cache=self.cache, progress=self.progress, name=name
-            )
+            try:
+                if path not in self._read:
+                    self._read[path] = read_mesh(path)
+                name = path.name if key[1] == (1.0, 1.0, 1.0) else f"{path.name} x {np.array(key[1])}"
+                self._cut[key] = covering(
+                    scaled(self._read[path], key[1]), self.limit, cache=self.cache, progress=self.progress, name=name
+                )
+            except FlatMeshError:
+                if not all(key[1]):
+                    raise
+                self._flat.setdefault(path.name, []).append(link)
+                return ()
         users = self._users.setdefault(key, [])
         if link not in users:
             users.append(link)
         return self._cut[key].pieces
 
     def notes(self) -> list[str]:
-        """A line on each mesh whose hull stands out of it noticeably: links, distance, and geometry used."""
-        notes = []
+        """A line on each mesh that is flat, or whose hull stands out of it noticeably: links, distance, geometry."""
+        notes = [f"{names_text(links)}: {name} is flat and does not collide" for name, links in self._flat.items()]
         for (path, scale), cut in self._cut.items():
             if cut.hull_stands_out == 0:
                 continue
