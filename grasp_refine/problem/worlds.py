@@ -10,6 +10,8 @@ from grasp_refine.problem.input_cache import InputCache, NoCache
 from grasp_refine.problem.problem import Problem
 
 if TYPE_CHECKING:
+    from grasp_refine.hands.hand import Hand
+    from grasp_refine.scene.task import Task
     from grasp_refine.validation.engines.mujoco.world import World
 
 
@@ -21,7 +23,7 @@ def worlds_of(
     Args:
         problem: Hand, objects and task.
         cache: Keeps models and worlds for the next problem.
-        on_note: Called with notes for the user on the model of the hand, and on scanned objects.
+        on_note: Called with notes for the user on the model of the hand, scanned objects, and what is not simulated.
 
     Raises:
         GraspRefineError: MuJoCo cannot compile the hand or a world.
@@ -35,8 +37,20 @@ def worlds_of(
         on_note(note)
     for name in sorted({group.object for group in problem.groups if len(group.scene.object.hypotheses) > 1}):
         on_note(f"{name}: simulated as the first solid that it may be, whose quality validations show")
+    for note in dict.fromkeys(_left_out(group.scene.task, hand) for group in problem.groups):
+        if note:
+            on_note(note)
     worlds = []
     for scene in (group.scene for group in problem.groups):
         setting = scene.object, scene.task.for_simulation
         worlds.append(cache.get("world", (hand, *setting), partial(build_world, model, *setting)))
     return worlds
+
+
+def _left_out(task: Task, hand: Hand) -> str:
+    """Return a note on surroundings of a task that its simulation does not have; "" if there are none."""
+    protocol = task.test(patches=hand.patches)
+    if protocol.tabletop or (task.plane is None and task.environment is None):
+        return ""
+    around = "table" if task.environment is None else f"scene '{task.environment.name}'"
+    return f"{protocol.name} pushes in empty space: the {around} is not simulated"

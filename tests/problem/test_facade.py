@@ -187,6 +187,14 @@ def test_a_refinement_proves_the_task_that_it_was_for(gripper: gr.Hand, workplac
         gr.simulate(refined, gr.Task(base=[0.0, 0.0, 0.0]))
 
 
+def test_a_table_that_pushes_do_not_simulate_is_noted(refined: gr.RefinedGrasps):
+    for task, count in ((gr.Task("strict", table=-0.1), 1), (gr.Task("tabletop", table=-0.1), 0), (None, 0)):
+        notes: list[str] = []
+        worlds_of(refined.problem.for_task(task), on_note=notes.append)
+        found = [note for note in notes if "table is not simulated" in note]
+        assert len(found) == count and all("strict" in note for note in found)
+
+
 def test_margins_stand_on_the_table_of_the_task(gripper: gr.Hand, refined: gr.RefinedGrasps):
     """They once knew no table, so that hands opened as if there was none."""
     box, task = gr.load_object("box:0.05,0.06,0.07"), gr.Task(gr.Protocol(checks=1), table=-0.0355)

@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.files.alignment import Mechanism, align, body_pose
 from grasp_refine.hands.files.mjcf import compile_mjcf, delete, joints_of, matched_joints, read_mjcf
 from grasp_refine.hands.hand import Hand
@@ -62,7 +63,8 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
             joint = spec.joint(name)
             joint.damping, joint.armature = [damping, *np.ravel(joint.damping)[1:]], armature
         why = f"actuators that are no position servos ({', '.join(others)})" if others else "no actuators"
-        notes.append(f"{path.name} has {why}: position actuators are used, as for a URDF")
+        used = count_text(len(spec.actuators), "position actuator")
+        notes.append(f"{path.name} has {why}: {used} of its joints take their place, as for a URDF")
     T_base_root = fit.T_base_world @ body_pose(model, root)
     # The pose of the hand in its file has no meaning in another world.
     top = spec.body(root)
