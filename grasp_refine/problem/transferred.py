@@ -15,6 +15,8 @@ from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.problem.problem import Group, Problem
+from grasp_refine.sampling.closure_frame import closure_frame
+from grasp_refine.sampling.jaw_frame import jaw_frame
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.task import Task
@@ -95,10 +97,28 @@ def with_transfers(problem: Problem, place: Place = transfer_grasps) -> Problem:
         aims: dict[str, Any] = {"target_link": some.target_link, "target_object": some.target_object}
         aims = {} if np.isnan(some.target_link).all() else aims
         groups.append(replace(placed, scene=replace(placed.scene, original=some.original, **aims)))
+    notes += _too_wide(hand, groups)
     note = (
         f"{count_text(len(problem), 'grasp')} of {scenes[0].hand.name if scenes else MANO} transferred to {hand.name}"
     )
     return replace(problem, groups=tuple(groups), notes=tuple(dict.fromkeys((*problem.notes, note, *notes))))
+
+
+def _too_wide(hand: Hand, groups: list[Group]) -> list[str]:
+    """Return a note on the grasps whose opposing fingers are farther apart than the jaws of a gripper open."""
+    jaws = jaw_frame(hand, closure_frame(hand))
+    if jaws is None:
+        return []
+    originals = [original for group in groups if (original := group.scene.original) is not None]
+    span, most = 1e3 * join(*originals).span, 1e3 * float(jaws.width.max())
+    wide = span[span > most]
+    if not len(wide):
+        return []
+    ends = " to ".join(dict.fromkeys(f"{end:.0f}" for end in (wide.min(), wide.max())))
+    return [
+        f"in {len(wide)} of {count_text(len(span), 'grasp')} the fingers that press against each other are {ends} mm "
+        f"apart, and the jaws open {most:.0f} mm: they grip elsewhere, if at all"
+    ]
 
 
 def _on_side(grasps: SourceGrasps, hand: Hand, obj: Object) -> tuple[SourceGrasps, list[str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import grasp_refine as gr
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.measures.fidelity import Likeness
 from grasp_refine.problem import refine as module
@@ -49,3 +50,17 @@ def test_fingers_touch_beside_contacts_that_they_cannot_reach():
     outcome = refined.outcome
     assert outcome.quality[0, 1] >= 0.95 and outcome.gap[0] == "" and outcome.fidelity[0] == Likeness.SAME
     assert outcome["starts"][0] == 1
+
+
+@pytest.mark.parametrize(("radius", "wide"), [(0.03, False), (0.055, True)])
+def test_grasps_that_are_wider_than_the_jaws_open_are_counted(radius: float, wide: bool):
+    """A ball of 60 mm fits between Franka's jaws, which open by 80 mm, and one of 110 mm does not."""
+    hand, ball = load_hand("allegro", candidates=128), gr.load_object(f"sphere:{radius}")
+    problem = transferred(gr.problem_of(hand, ball, gr.sample_grasps(hand, ball, 3, seed=2)), load_hand("franka_hand"))
+    original = problem.groups[0].scene.original
+    ends = [point[opposed] for point, opposed in zip(original.point, original.opposed, strict=True)]
+    span = np.array([np.linalg.norm(first - second) for first, second in ends])
+    np.testing.assert_allclose(original.span, span)
+    assert (span <= 2.0 * radius + 1e-6).all() and (span > 0.08).any() == wide
+    (note,) = [note for note in problem.notes if "mm apart" in note] or [""]
+    assert note.startswith(f"in {(span > 0.08).sum()} of 3 grasps") == wide

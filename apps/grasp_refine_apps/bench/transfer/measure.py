@@ -19,6 +19,8 @@ from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.refine import refine_problem
 from grasp_refine.problem.transferred import transferred
 from grasp_refine.refinement.config import Config
+from grasp_refine.sampling.closure_frame import closure_frame
+from grasp_refine.sampling.jaw_frame import jaw_frame
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.transfers.transfer import copied_grasps
 from grasp_refine_apps.bench.jobs import Progress
@@ -48,6 +50,8 @@ class Measured:
     """`Likeness` (N,) as text."""
     palm_m: np.ndarray
     """Distance (N,) of the base link from where it is with the palm laid over the original's, metres."""
+    fits: np.ndarray
+    """False for grasps (N,) whose opposing fingers are farther apart than the jaws of the hand open."""
     cpu_s: float
     """CPU time from the grasps of the source to these, seconds."""
 
@@ -75,6 +79,8 @@ class Measurement:
             "kinematics": lambda source: transferred(source, hand),
             "transfer": lambda source: refine_problem(transferred(source, hand), Config(seed=self.seed)).as_problem(),
         }
+        jaws = jaw_frame(hand, closure_frame(hand))
+        most = np.inf if jaws is None else jaws.width.max()
         found: list[Measured] = []
         laid: np.ndarray | None = None
         for done, (way, bring) in enumerate(steps.items()):
@@ -87,6 +93,8 @@ class Measurement:
             likeness = join(*(_fidelity(group) for group in brought.groups))
             held = [self._held(hand, group, cache) for group in brought.groups]
             moved = np.linalg.norm(root - laid, axis=1)
+            originals = [original for group in brought.groups if (original := group.scene.original) is not None]
+            span = np.nan_to_num(join(*originals).span)
             found.append(
                 Measured(
                     way,
@@ -96,6 +104,7 @@ class Measurement:
                     likeness.original_pinch_shift,
                     likeness.likeness,
                     moved,
+                    span <= most,
                     spent,
                 )
             )

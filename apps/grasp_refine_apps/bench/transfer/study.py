@@ -34,7 +34,8 @@ INTRO = (
     "the original. Transfer: these grasps are refined. All are closed and tried in MuJoCo. Off is the distance of the "
     "thumb and of the finger that presses against it from the original's contacts, the larger one, of the grasps in "
     f"which both touch. A grasp is the same up to {1e3 * SAME_M:g} mm, if it drops no finger. The palm's shift is from "
-    "where it was laid over the other palm. Intervals are Wilson's, 95 %."
+    "where it was laid over the other palm. A last row of jaws is of the grasps whose opposing fingers are no farther "
+    "apart than the jaws open. Intervals are Wilson's, 95 %."
 )
 
 
@@ -85,12 +86,14 @@ class TransferStudy:
     def rows(self, done: Sequence[Sequence[Measured]]) -> list[Row]:
         """Return a row for each source, hand and way."""
         every = [one for case in done for one in case]
-        keys = dict.fromkeys((one.source, one.hand) for one in every)
-        return [
-            _row([one for one in every if (one.source, one.hand, one.way) == (*key, way)])
-            for key in keys
-            for way in WAYS
-        ]
+        rows = []
+        for key in dict.fromkeys((one.source, one.hand) for one in every):
+            by_way = {way: [one for one in every if (one.source, one.hand, one.way) == (*key, way)] for way in WAYS}
+            rows += [_row(some) for some in by_way.values()]
+            refined = by_way[WAYS[-1]]
+            if 0 < sum(int(one.fits.sum()) for one in refined) < sum(len(one.fits) for one in refined):
+                rows.append(_row(refined, fitting=True))
+        return rows
 
     def report(self, rows: Sequence[Row], problems: Sequence[str]) -> Report:
         """Return a table for each source."""
@@ -101,14 +104,15 @@ class TransferStudy:
         return Report("Transfers of grasps", [*parts, *failed_table(problems)])
 
 
-def _row(some: Sequence[Measured]) -> Row:
-    """Return the numbers of some results of one way."""
+def _row(some: Sequence[Measured], *, fitting: bool = False) -> Row:
+    """Return the numbers of some results of one way; of the grasps alone that fit between the jaws, if `fitting`."""
+    fits = np.concatenate([one.fits | (not fitting) for one in some])
     held, pinch, words, palm = (
-        np.concatenate([getattr(one, name) for one in some]) for name in ("held", "pinch_m", "fidelity", "palm_m")
+        np.concatenate([getattr(one, name) for one in some])[fits] for name in ("held", "pinch_m", "fidelity", "palm_m")
     )
     one = some[0]
     return {
-        "label": f"{one.hand}: {one.way}",
+        "label": f"{one.hand}: {one.way}" + (", as wide as the jaws open" if fitting else ""),
         "source": one.source,
         "hand": one.hand,
         "way": one.way,
@@ -118,7 +122,7 @@ def _row(some: Sequence[Measured]) -> Row:
         "pinched": float(np.isfinite(pinch).mean()),
         **{each.value: int((words == each.value).sum()) for each in Likeness},
         "palm_m": float(np.median(palm)),
-        "cpu_s": sum(each.cpu_s for each in some) / len(held),
+        "cpu_s": sum(each.cpu_s for each in some) / len(fits),
     }
 
 
