@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 import time
+import warnings
 import webbrowser
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -91,6 +92,8 @@ class View:
         from grasp_refine_apps.viewer.server.page import close_server, open_server
 
         check_writable(self.serving.json, overwrite=self.serving.overwrite)
+        # viser warns of what is drawn while a page is closed.
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
         # Refused before anything is shown.
         self.settings.config()
         # First, so that a browser can load the page, and show the progress, while the rest loads.

@@ -173,6 +173,15 @@ class GraspNodes:
         self._shadow_of: tuple[bytes, ...] | None = None
         self.interaction = Interaction(scene, controller, self.prepared, self.hand, self.object, self.targets, length)
 
+    def simplify(self) -> None:
+        """Leave out ground, shadow and input hand from now on."""
+        self.simple = True
+        if self._ground is not None:
+            self._ground.remove()
+            self._ground = None
+        if self.ghost is not None:
+            self.ghost.show(False)
+
     @property
     def rest_s(self) -> float:
         """Seconds without a movement from which on the hand rests."""

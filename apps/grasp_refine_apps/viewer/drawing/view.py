@@ -61,6 +61,8 @@ class View:
         self._cuts: dict[int, float] = {}
         self._moved: set[int] = set()
         """Numbers of the pages whose users moved the camera."""
+        self._placed: dict[int, FirstCamera] = {}
+        """Cameras as they were placed, by numbers of pages."""
         self._motion: Recording | None = None
         self._later = Timer(0.0, lambda: None)
         self.redraw: Callable[[], None] = lambda: None
@@ -105,7 +107,8 @@ class View:
                 self._motion = state.motion
                 if state.motion is not None and state.motion.travels:
                     self._place_cameras(state, nodes, moved=True)
-            nodes.simple = self.simple
+            if self.simple and not nodes.simple:
+                nodes.simplify()
             (nodes.draw_bodies if bodies else nodes.draw)(state)
         if not nodes.rests:
             self._later.cancel()
@@ -127,8 +130,10 @@ class View:
         self._place_cameras(state, nodes)
 
     def moved(self, client: viser.ClientHandle) -> None:
-        """Note that a user moved the camera of a page: from then on it stays."""
-        self._moved.add(client.client_id)
+        """Note that a user moved the camera of a page: from then on it stays; drags of fingers and objects do not."""
+        placed, now = self._placed.get(client.client_id), client.camera
+        if placed is None or not _same_view(placed, now.position, now.look_at):
+            self._moved.add(client.client_id)
 
     def look(self, client: viser.ClientHandle, view: str, aspect: float | None = None) -> None:
         """Fit the camera of one page to hand and object; from then on it follows them.
@@ -174,6 +179,7 @@ class View:
         camera, number = client.camera, client.client_id
         found = fit_camera(points, points.mean(axis=0), towards, self._aspects.get(number, ASPECT_RATIO))
         camera.up_direction = UP
+        self._placed[number] = found
         _set(camera, found, self._near(number, points, found.position, towards))
 
     def _points(self, state: State, nodes: GraspNodes) -> np.ndarray:
@@ -218,6 +224,15 @@ def _set(place: Any, camera: FirstCamera, near: float) -> None:
     """Set the camera of a page, or of all new ones."""
     place.fov, place.near, place.far = FIELD_OF_VIEW_RAD, near, FAR_PLANE_M
     place.position, place.look_at = camera.position, camera.look_at
+
+
+def _same_view(camera: FirstCamera, position: np.ndarray, look_at: np.ndarray) -> bool:
+    """Return whether a camera is where it was placed, up to what browsers round."""
+    tolerance = 1e-3 * float(np.linalg.norm(camera.position - camera.look_at))
+    return all(
+        np.allclose(one, other, rtol=0.0, atol=tolerance)
+        for one, other in ((camera.position, position), (camera.look_at, look_at))
+    )
 
 
 def _looks_same(one: Drawn, other: Drawn) -> bool:

@@ -209,7 +209,10 @@ def test_cameras_follow_the_grasp_until_a_user_moves_them_and_again_after_fit(
     monkeypatch.setattr(view.server, "get_clients", lambda: {1: still, 2: following})
     for client in (still, following):
         view.look(client, "best")
-    view.moved(still)
+    still.camera.position = np.array(still.camera.position) + (0.0, 0.0, 0.05)
+    # Who drags a finger does not move the camera, though the page cannot tell.
+    for client in (still, following):
+        view.moved(client)
     before = np.array(still.camera.position)
     # Of another grasp, the hand is elsewhere.
     for number in (1, 2):
@@ -281,6 +284,29 @@ def test_scrubbing_moves_the_hand_and_the_ghost_stays(view: View, viewer: Contro
             np.testing.assert_allclose(pose(node), T[shape.link], atol=1e-7)
             np.testing.assert_allclose(pose(copy), initial[shape.link], atol=1e-7)
             assert copy.visible == moved
+
+
+def test_pages_without_a_graphics_card_have_no_ground_and_no_input_hand_even_if_it_is_known_late(
+    view: View, viewer: Controller
+) -> None:
+    page, extra = Page(view.server), {"/ground/grid", "/ground/shadow"}
+    until(lambda: extra <= page.nodes().keys())
+    viewer.editor.set_joint(3, 0.4)
+    view.draw(viewer.state)
+    assert has_ghost(view)
+    view.simple = True
+    for joint in (4, 5):
+        viewer.editor.set_joint(joint, 0.3)
+        view.draw(viewer.state)
+        assert not has_ghost(view)
+    until(lambda: not extra & page.nodes().keys())
+    # A compared grasp is drawn there, too.
+    other = controller(example(index=(1,))).state.collection
+    viewer.grasps.open(other)
+    viewer.grasps.compare(0)
+    view.draw(viewer.state)
+    assert has_ghost(view)
+    page.close()
 
 
 def test_side_by_side_the_input_grasp_has_an_object_of_its_own(view: View, viewer: Controller) -> None:
