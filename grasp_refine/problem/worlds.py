@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from grasp_refine.scene.task import Task
     from grasp_refine.validation.engines.mujoco.world import World
 
+MAX_MASS_KG = 20.0
+"""Mass of an object in kg from which on its unit is in doubt."""
+
 
 def worlds_of(
     problem: Problem, *, cache: InputCache | None = None, on_note: Callable[[str], None] = lambda line: None
@@ -44,6 +47,10 @@ def worlds_of(
     for scene in (group.scene for group in problem.groups):
         setting = scene.object, scene.task.for_simulation
         worlds.append(cache.get("world", (hand, *setting), partial(build_world, model, *setting)))
+    heavy = {group.object: world.mass for group, world in zip(problem.groups, worlds, strict=True)}
+    for name, mass in heavy.items():
+        if mass > MAX_MASS_KG:
+            on_note(f"{name} weighs {mass:.3g} kg, which is a lot for a hand: masses are in kilograms")
     return worlds
 
 

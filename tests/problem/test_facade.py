@@ -187,6 +187,13 @@ def test_a_refinement_proves_the_task_that_it_was_for(gripper: gr.Hand, workplac
         gr.simulate(refined, gr.Task(base=[0.0, 0.0, 0.0]))
 
 
+def test_grams_are_suspected(refined: gr.RefinedGrasps):
+    for mass in (0.2, 200.0):
+        notes: list[str] = []
+        worlds_of(refined.problem.for_task(gr.Task(gr.Protocol("heavy", mass=mass))), on_note=notes.append)
+        assert any("200 kg" in note for note in notes) == (mass == 200.0)
+
+
 def test_a_table_that_pushes_do_not_simulate_is_noted(refined: gr.RefinedGrasps):
     for task, count in ((gr.Task("strict", table=-0.1), 1), (gr.Task("tabletop", table=-0.1), 0), (None, 0)):
         notes: list[str] = []
