@@ -89,8 +89,9 @@ def problem_of(
             raise GraspRefineError(f"{hand.name} needs the pose of its base: task=Task(base=[x, y, z, ...])")
         grasps, notes = on_arm(grasps, hand, task.T_object_base, clearance=arm_clearance(hand, obj, task))
     if grasps.base_link != hand.base_link:
+        of = "" if grasps.hand == hand.name else f"the grasps are of hand '{grasps.hand}', not '{hand.name}'; "
         raise GraspRefineError(
-            f"the grasps give poses of link '{grasps.base_link}', the hand begins at '{hand.base_link}': "
+            f"{of}the grasps give poses of link '{grasps.base_link}', the hand begins at '{hand.base_link}': "
             f"load_hand(..., base_link='{grasps.base_link}')"
         )
     q, matched = match_joints(grasps, hand)
@@ -248,6 +249,8 @@ def evaluate(
     """
     problem = _problem(hand, object, grasps, task, as_is=as_is)
     simulated = problem.task.protocol is not None
+    if not simulated and tuple(engines) != (MUJOCO,):
+        raise GraspRefineError("engines simulate tasks with a protocol: give evaluate one, as task='dexgraspbench'")
     worlds = worlds_of(problem) if simulated else [None] * len(problem.groups)
     names = chosen_engines(engines, [world for world in worlds if world is not None])
     parts = []

@@ -187,6 +187,17 @@ def test_a_refinement_proves_the_task_that_it_was_for(gripper: gr.Hand, workplac
         gr.simulate(refined, gr.Task(base=[0.0, 0.0, 0.0]))
 
 
+def test_engines_without_a_protocol_are_refused(gripper: gr.Hand, refined: gr.RefinedGrasps):
+    """Else nothing would be simulated, and no grasp would have held."""
+    with refused(gr.GraspRefineError, "protocol"):
+        gr.evaluate(gripper, gr.load_object("box:0.05,0.06,0.07"), refined.after, engines=["drake"])
+
+
+def test_grasps_of_another_hand_are_refused_by_its_name(refined: gr.RefinedGrasps):
+    with refused(gr.GraspRefineError, "'gripper'", "'allegro'"):
+        gr.refine(gr.load_hand("allegro"), gr.load_object("box:0.05,0.06,0.07"), refined.after)
+
+
 def test_grams_are_suspected(refined: gr.RefinedGrasps):
     for mass in (0.2, 200.0):
         notes: list[str] = []
