@@ -77,3 +77,9 @@ def test_what_cannot_be_a_path_is_no_hand(workplace: Path, name: str) -> None:
     with pytest.raises((AssetError, HandError)) as caught:
         hand_files(name, None, None, silent)
     assert_names(str(caught.value), name[:20])
+
+
+def test_a_hand_of_ours_in_capitals_is_no_asset() -> None:
+    """The asset `hands/allegro` is another model."""
+    with refused(AssetError, "'Allegro'", "did you mean allegro?"):
+        load_hand("Allegro")

@@ -97,6 +97,9 @@ def _locate(source: str | Path, urdf: Path | None, on_message: Callable[[str], N
         full_name, file = described(source, on_message)
         return full_name, HandToml(file, file)
     if not exists(path):
+        if isinstance(source, str) and source.lower() in (*list_hands(), *list_arms()):
+            # Not the asset of that name, which is another model.
+            raise AssetError(f"no hand or arm '{source}', did you mean {source.lower()}?")
         asset = find_asset(source, "hands") if isinstance(source, str) else None
         if asset is not None:
             ours = resource_dir("robots") / asset.name / HAND_TOML
