@@ -8,7 +8,7 @@ import numpy as np
 
 from grasp_refine.closing.motion import Motion
 from grasp_refine.closing.pregrasp import open_hand
-from grasp_refine.closing.stopped import close_until_stopped
+from grasp_refine.closing.stopped import close_until_stopped, table_obstruction
 from grasp_refine.core.array_types import Bool, Float
 from grasp_refine.forces.quality import quality
 from grasp_refine.forces.squeeze import CONTACTS, squeeze
@@ -90,9 +90,12 @@ class Ends:
             T_each = np.concatenate([T, T, T])
             T_each[len(T) :, :3, 3] += np.repeat([shift, -shift], len(T), axis=0)
             from_open, to_end = np.tile(q_open, (3, 1)), np.tile(q_end, (3, 1))
-            # The table does not move with the solid.
-            raised = 0.0 if scene.table is None else (T_each - np.tile(T, (3, 1, 1)))[:, :3, 3] @ scene.table.normal
-            share = close_until_stopped(prepared, T_each, from_open, to_end, table=scene.table, raised=raised)
+            obstruction = None
+            if scene.table is not None:
+                # The table does not move with the solid.
+                raised = (T_each - np.tile(T, (3, 1, 1)))[:, :3, 3] @ scene.table.normal
+                obstruction = table_obstruction(prepared, scene.table, T_each, from_open, raised)
+            share = close_until_stopped(prepared, T_each, from_open, to_end, obstruction=obstruction)
             closed = from_open + share * (to_end - from_open)
             frames = chain(T_each, closed)
             cutoff = CONTACTS.cutoff(hand, links)

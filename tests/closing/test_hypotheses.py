@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.closing.hypotheses import Ends, best_attempt
-from grasp_refine.closing.stopped import close_until_stopped
+from grasp_refine.closing.stopped import close_until_stopped, table_obstruction
 from grasp_refine.geometry.pieces import Piece, hull
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, load_object
@@ -81,7 +81,8 @@ def test_a_table_stops_fingers_and_lets_them_rise(hand: Hand, scanned: Object):
     prepared, q_open = HandObject(hand, scanned), np.zeros((2, 2))
     q_end, table = q_open + 0.09, Plane((1.0, 0.0, 0.0), 0.035)
     T, raised = np.tile(np.eye(4), (2, 1, 1)), np.array([0.0, 0.015])
-    found = q_end * close_until_stopped(prepared, T, q_open, q_end, table=table, raised=raised)
+    obstruction = table_obstruction(prepared, table, T, q_open, raised)
+    found = q_end * close_until_stopped(prepared, T, q_open, q_end, obstruction=obstruction)
     left = 0.1 - RADIUS - 0.035 - raised
     assert found == pytest.approx(np.stack([left, np.full(2, closed(RANGES[0])[1])], axis=1), abs=NEAR)
     assert (found[:, 0] <= left).all()

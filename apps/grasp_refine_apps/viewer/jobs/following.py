@@ -61,14 +61,18 @@ class _Links:
         return np.maximum(-np.nan_to_num(self.pairs.distances(q, 0.0)), 0.0)
 
     def deeper(
-        self, q: Float[np.ndarray, "R n"], than: Float[np.ndarray, " P"], count: int
-    ) -> Bool[np.ndarray, "R count"]:
-        """Return which of the first `count` links are deeper in another one than these depths (P,)."""
+        self,
+        rows: Int[np.ndarray, " R"],
+        q: Float[np.ndarray, "R n"],
+        T_link: Float[np.ndarray, "R L 4 4"],
+        than: Float[np.ndarray, " P"],
+    ) -> Bool[np.ndarray, "R L"]:
+        """Return which of the first L links are deeper in another one than these depths (P,); an `Obstruction`."""
         found = np.zeros((len(q), self.size), dtype=bool)
         row, pair = np.nonzero(self.overlap(q) > than + LINK_TOLERANCE_M)
         for side in self.index:
             found[row, side[pair]] = True
-        return found[:, :count]
+        return found[:, : T_link.shape[1]]
 
 
 def follow(prepared: HandObject, scene: Scene, pose: Pose, wanted: Target) -> Pose:
@@ -108,8 +112,8 @@ def follow(prepared: HandObject, scene: Scene, pose: Pose, wanted: Target) -> Po
         )
         end = GraspProblem(aimed, goal, config, prepared).solve_position_ik(none, Point(T, q))
         depth = np.minimum(np.nan_to_num(prepared.query(none, T_link, cutoff=0.0).distance), 0.0)
-        obstructed = partial(links.deeper, than=links.overlap(q)[0], count=len(chain.links))
-        share = close_until_stopped(prepared, T, q, end.q, depth, obstructed=obstructed)
+        obstruction = partial(links.deeper, than=links.overlap(q)[0])
+        share = close_until_stopped(prepared, T, q, end.q, depth, obstruction)
         q = np.where(share == 1.0, end.q, q + share * (end.q - q))
         T_link = chain(T, q).T_world_link
     return Pose(pose.T_object_root, q[0])
