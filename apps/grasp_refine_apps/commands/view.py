@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import sys
@@ -9,6 +10,7 @@ import threading
 import time
 import warnings
 import webbrowser
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -42,6 +44,10 @@ SIGNAL_POLL_S = 0.2
 
 CLEANUP_LIMIT_S = 5.0
 """Time limit for cleaning up at the end, seconds."""
+
+
+M_ARENA_MAX = -8
+"""Parameter of glibc's mallopt: largest number of arenas."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +98,7 @@ class View:
         from grasp_refine_apps.viewer.server.page import close_server, open_server
 
         check_writable(self.serving.json, overwrite=self.serving.overwrite)
+        use_few_arenas()
         # viser warns of what is drawn while a page is closed.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
         # Refused before anything is shown.
@@ -130,6 +137,16 @@ class View:
         finally:
             close_server(page.server)
         return 0
+
+
+def use_few_arenas() -> None:
+    """Let glibc keep the memory of all threads in two arenas.
+
+    Each page has threads of its own. With an arena for each, pages that come and go for 20 minutes took 1.3 GB; with
+    two they take 0.6. Other C libraries do as they do.
+    """
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL("libc.so.6").mallopt(M_ARENA_MAX, 2)
 
 
 def show(grasps: RefinedGrasps | Problem) -> Viewer:

@@ -184,6 +184,9 @@ def test_a_storm_of_pages_leaves_no_error_and_no_growth(
 if __name__ == "__main__":
     from tempfile import TemporaryDirectory
 
+    from grasp_refine_apps.commands.view import use_few_arenas
+
+    use_few_arenas()
     with TemporaryDirectory() as folder:
         copy = Path(folder) / "mug.npz"
         copy.write_bytes(example().files[0].read_bytes())
