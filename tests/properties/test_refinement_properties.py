@@ -205,7 +205,7 @@ def test_one_step_of_a_grasp_is_the_one_that_it_takes_alone(
         config = PLANS[plan](iterations)
         whole = refine(scene, config, prepared=prepared)
         for rows in ([alone],) if whole_run else (order, [alone]):
-            part = refine(scene.select(rows), config, prepared=prepared)
+            part = refine(scene.select(np.array(rows)), config, prepared=prepared)
             np.testing.assert_array_equal(part.status, whole.status[rows])
             if whole_run:
                 np.testing.assert_allclose(part.loss[:, 1], whole.loss[rows, 1], rtol=1e-3, atol=1e-9)
