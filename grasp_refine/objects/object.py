@@ -251,7 +251,7 @@ def load_object(
         GraspRefineError: an argument of another kind, or one that does not fit the others.
     """
     if (source is None) == (points is None):
-        raise GraspRefineError("give an object, or its `points`" + ("" if points is None else ", not both"))
+        raise GraspRefineError("give an object, or its points" + ("" if points is None else ", not both"))
     if not (source is None or is_mesh(source)):
         check_kind("source", source, str | Path | Scan)
     check_kind("name", name, str | None)

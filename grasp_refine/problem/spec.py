@@ -79,7 +79,7 @@ class ScanSpec:
     have lines mesh = weight. By default none."""
 
     def scan_arguments(self) -> dict[str, Any]:
-        """Return the arguments of `load_object` that are given here."""
+        """Return the arguments that are given here of the function that loads an object."""
         given = {one.name: getattr(self, one.name) for one in fields(ScanSpec)}
         return {name: value for name, value in given.items() if value != getattr(ScanSpec, name)}
 

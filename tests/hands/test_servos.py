@@ -1,6 +1,7 @@
 """Servos of an MJCF as actuators of independent joints: stiffness, limits and set points in closed form."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ SERVOS = """
   <general joint="s" biastype="affine" gainprm="2" biasprm="0 -50 -3" ctrlrange="0 255"/>"""
 
 
-def actuator(folder: Path, actuators: str) -> dict[str, Actuator]:
+def actuator(folder: Path, actuators: str) -> dict[str, SimpleNamespace]:
     """Return the actuators of the hand by joint."""
     path = folder / "hand.xml"
     path.write_text(HAND.format(bodies=BODIES, actuators=actuators))
@@ -41,8 +42,8 @@ def actuator(folder: Path, actuators: str) -> dict[str, Actuator]:
     return {name: _row(hand.actuator, i) for i, name in enumerate(hand.joint_names)}
 
 
-def _row(all_of: Actuator, i: int) -> Actuator:
-    return Actuator(**{key: None if value is None else value[i] for key, value in vars(all_of).items()})
+def _row(all_of: Actuator, i: int) -> SimpleNamespace:
+    return SimpleNamespace(**{key: None if value is None else value[i] for key, value in vars(all_of).items()})
 
 
 def test_servos_act_with_the_squares_of_their_arms(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ def test_the_interval_of_a_mean_is_that_of_as_many_trials_as_have_its_variance()
         expected = np.ravel(wilson(np.asarray(0.75 * trials), trials))
         np.testing.assert_allclose(mean_interval(case)[1:], expected, rtol=1e-12)
     for none_or_all in (np.zeros((3, 8), dtype=bool), np.ones((3, 8), dtype=bool)):
-        expected = np.ravel(wilson(none_or_all.sum(), 24))
+        expected = np.ravel(wilson(np.asarray(none_or_all.sum()), 24))
         np.testing.assert_allclose(mean_interval(none_or_all)[1:], expected)
         assert np.ptp(expected) > 0.1, "no certainty"
 
