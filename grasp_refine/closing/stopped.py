@@ -1,4 +1,4 @@
-"""Closing of fingers along a path of the joints, until the object or a table stops them."""
+"""Closing of fingers along a path of the joints, until the object, a table or another link stops them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def close_until_stopped(
         q_open: Joint values (N, n) at which the hand is open.
         q_end: Joint values (N, n) at which the paths end.
         touch: Distances (N, L), at most 0, from which on links touch: less for links that are in the object already.
-        obstruction: What stops links beside the object.
+        obstruction: Test for further obstacles; None: there are none.
     """
     chain, path = prepared.chain, q_end - q_open
     touch = np.broadcast_to(touch, (len(path), len(chain.links)))

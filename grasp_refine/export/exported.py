@@ -56,7 +56,7 @@ class ExportedGrasps:
         """The object, in metres."""
         return self.scene.object
 
-    @property
+    @cached_property
     def speed_limits(self) -> Mapping[str, float]:
         """Speed limits, rad/s or m/s, of the joints of the simulated model that have one, by name."""
         joints, names = self.hand.joints_by_name, self.hand.mjcf_joints

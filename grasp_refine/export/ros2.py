@@ -119,7 +119,7 @@ def grasp_message(grasps: ExportedGrasps, plan: MotionPlan, row: int) -> Message
         "grasp_posture": _posture(grasps, [grasp, squeeze], effort),
         "grasp_pose": {
             "header": _header(_frame(grasps)),
-            "pose": dict(zip(("position", "orientation"), _place(at), strict=True)),
+            "pose": _place(at, "position", "orientation"),
         },
         "grasp_quality": quality if np.isfinite(quality) else 0.0,
         "pre_grasp_approach": _translation(grasps, at[:3] - pregrasp[:3] - options.approach * away),
@@ -145,7 +145,7 @@ def palm_message(grasps: ExportedGrasps, timed: Trajectory) -> Message:
     poses = pose_from_transform(palm_poses(grasps.hand, timed.T_world_root, timed.q))
     points = [
         {
-            "transforms": [dict(zip(("translation", "rotation"), _place(pose), strict=True))],
+            "transforms": [_place(pose, "translation", "rotation")],
             "velocities": [],
             "accelerations": [],
             "time_from_start": _duration(time),
@@ -155,10 +155,10 @@ def palm_message(grasps: ExportedGrasps, timed: Trajectory) -> Message:
     return {"header": _header(_frame(grasps)), "joint_names": [grasps.hand.palm], "points": points}
 
 
-def _place(pose: Float[np.ndarray, " 7"]) -> tuple[Message, Message]:
-    """Return position and quaternion of a pose."""
+def _place(pose: Float[np.ndarray, " 7"], position: str, rotation: str) -> Message:
+    """Return a pose, its position and its quaternion under these names."""
     x, y, z, qw, qx, qy, qz = pose.tolist()
-    return {"x": x, "y": y, "z": z}, {"x": qx, "y": qy, "z": qz, "w": qw}
+    return {position: {"x": x, "y": y, "z": z}, rotation: {"x": qx, "y": qy, "z": qz, "w": qw}}
 
 
 def _ends(timed: Trajectory) -> dict[str, int]:

@@ -86,7 +86,7 @@ def _task(world: World, bodies: Bodies, course: Course) -> dict[str, np.ndarray]
     mine = list(world.hand.joints)
     names = [name for name in mine if name in driven]
     drives = [_driver(driven, name) for name in names]
-    # A servo is shared by its joint and those that follow: together their drives are as stiff and as strong as it.
+    # A joint and its followers share a servo: together, their drives are as stiff and as strong as the servo.
     count = Counter(drive.joint for drive in drives)
     gain = np.array([abs(_multiplier(driven[name], drive)) or 1.0 for name, drive in zip(names, drives, strict=True)])
     share = np.array([1.0 / count[drive.joint] for drive in drives]) / gain

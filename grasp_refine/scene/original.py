@@ -35,5 +35,5 @@ class Original:
     def span(self) -> Float[np.ndarray, " N"]:
         """Distances (N,) from the thumb's contact to the one that is opposed, metres; NaN where there are no two."""
         apart = np.linalg.norm(self.point[:, :, None] - self.point[:, None], axis=-1)
-        two = self.opposed[:, :, None] & self.opposed[:, None] & np.isfinite(apart)
-        return np.where(self.opposed.sum(axis=1) == 2, np.where(two, apart, -np.inf).max(axis=(1, 2)), np.nan)
+        both = self.opposed[:, :, None] & self.opposed[:, None]
+        return np.where(self.opposed.sum(axis=1) == 2, np.where(both, apart, 0.0).max(axis=(1, 2)), np.nan)

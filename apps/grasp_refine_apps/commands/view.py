@@ -45,7 +45,6 @@ SIGNAL_POLL_S = 0.2
 CLEANUP_LIMIT_S = 5.0
 """Time limit for cleaning up at the end, seconds."""
 
-
 M_ARENA_MAX = -8
 """Parameter of glibc's mallopt: largest number of arenas."""
 

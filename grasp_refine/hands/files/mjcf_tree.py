@@ -48,7 +48,7 @@ def mjcf_tree(path: Path) -> Tree:
     if not colliding.any():
         raise HandError(
             f"{path}: none of its {model.ngeom} geoms can touch anything: their contype and conaffinity are 0, and no "
-            "contact pair names one; give those that collide a contype"
+            "contact pair names one; give a contype to geoms that collide"
         )
     links, joints = [], []
     for number, name in enumerate(bodies, 1):

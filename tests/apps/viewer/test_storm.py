@@ -46,7 +46,7 @@ def memory_mb() -> float:
 
 
 class Visitor:
-    """One page after the other, each of which does something at random."""
+    """One page after the other; each acts at random."""
 
     def __init__(self, viewer: Viewer, number: int) -> None:
         self.viewer, self.number, self.random = viewer, number, np.random.default_rng(number)

@@ -75,7 +75,7 @@ class View:
         return None if self.nodes is None else self.nodes.contacts
 
     def draw(self, state: State, *, bodies: bool = False) -> None:
-        """Update the scene to a state; cameras follow hand and object, except those that users moved.
+        """Update the scene to a state; cameras follow hand and object until a user moves them.
 
         Args:
             state: The state.
